@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
-from gem_core.env.results import checked_reset, checked_result
+from gem_core.env.results import checked_reset, checked_result, refuse_action
 from gem_core.env.wrapper import Wrapper
 from gem_core.errors import ResetNeededError
 from gem_core.types import ResetResult, StepResult
@@ -18,6 +18,13 @@ class Guard(Wrapper):
     checks_results = True
     """Whether malformed results are refused; ``check_env`` turns it off and checks them itself."""
     _live = False
+    _plain_only = False  # its step is its two hooks, without the way through coroutines
+
+    def step(self, action: str) -> StepResult:
+        """Step, if the episode is under way."""
+        if not isinstance(action, str):
+            refuse_action(action)
+        return self.after_step(action, cast("StepResult", self.env.step(self.before_step(action))))
 
     def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
         """Refuse steps until the reset has succeeded."""

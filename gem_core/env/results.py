@@ -28,10 +28,9 @@ def checked_result(result: object) -> StepResult:
         raise TypeError(f"step must return (observation, reward, terminated, truncated, info), not {result!r:.200}")
     observation, reward, terminated, truncated, info = result
     _check_types(observation, info)
-    if not isinstance(terminated, _FLAGS) or terminated not in (0, 1):  # else any object would count as true or false
-        raise TypeError(f"terminated must be True or False, not {terminated!r:.200}")
-    if not isinstance(truncated, _FLAGS) or truncated not in (0, 1):
-        raise TypeError(f"truncated must be True or False, not {truncated!r:.200}")
+    for name, flag in (("terminated", terminated), ("truncated", truncated)):
+        if type(flag) is not bool and not (isinstance(flag, _FLAGS) and flag in (0, 1)):
+            raise TypeError(f"{name} must be True or False, not {flag!r:.200}")  # any object would count as one of them
     return observation, checked_reward(reward), bool(terminated), bool(truncated), info.copy()
 
 

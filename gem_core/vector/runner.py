@@ -12,6 +12,7 @@ from typing import Any, cast
 
 from gem_core.closing import close_all
 from gem_core.env.base import Env
+from gem_core.env.guard import Guard
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.results import checked_reset, checked_result
 from gem_core.env.seeding import checked_seed, stable_hash
@@ -72,8 +73,8 @@ class EnvRunner:
         self._check_reset, self._check_step = checked_reset, checked_result
         if isinstance(env, MultiAgentEnv):
             self._check_reset, self._check_step = partial(joint_reset, env), joint_step
-        elif isinstance(env, RemoteEnv):
-            self._check_reset = self._check_step = _checked_there
+        elif isinstance(env, RemoteEnv) or type(env) is Guard:  # its worker has checked the results, or the guard has
+            self._check_reset = self._check_step = _as_it_is
         self.env, self._made_for, self._made_in = env, (env_id, kwargs), os.getpid()
         return None
 
@@ -192,6 +193,5 @@ def _equal(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
         return False
 
 
-def _checked_there(result: Any) -> Any:
-    """Return the result of an environment whose worker has checked it."""
+def _as_it_is(result: Any) -> Any:
     return result

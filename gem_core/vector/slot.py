@@ -151,10 +151,13 @@ class Slot:
         kwargs = {**self.kwargs, **item.kwargs} if self.kwargs and item.id is None else item.kwargs
         return item.id or self.env_id, kwargs
 
+    def fits(self, start: EpisodeStart) -> bool:
+        """Tell whether the present environment is that of an episode."""
+        return self.runner.has_env_for(*self.target(start))
+
     def prepares_in_place(self, start: EpisodeStart) -> bool:
         """Tell whether ``prepare`` never waits."""
-        env_id, kwargs = self.target(start)
-        return self.runner.has_env_for(env_id, kwargs) or self.config.is_quick(env_id)
+        return self.fits(start) or self.config.is_quick(self.target(start)[0])
 
     async def prepare(self, start: EpisodeStart) -> Failure | None:
         """Make the environment that an episode needs unless it is there; return the failure, if any."""
@@ -187,10 +190,6 @@ class Slot:
             if item.group is not None:
                 info["group"] = item.group
         return outcome
-
-    def step_in_place(self, action: Action) -> StepResult | Failure:
-        """Step an environment that runs in the caller's thread."""
-        return self.runner.step(action)
 
     async def step(self, action: Action) -> StepResult | Failure:
         """Step the environment."""

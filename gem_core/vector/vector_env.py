@@ -360,7 +360,10 @@ class VectorEnv(VectorAttributes):
                 if not self._is_idle(index):
                     due.append(index)  # next_step: this call begins the next episode, and the action is ignored
             elif slots[index].in_place:
-                if self._take(index, slots[index].step_in_place(action)):
+                outcome = slots[index].runner.step(action)
+                if type(outcome) is tuple and not (outcome[2] or outcome[3]):
+                    states[index].result = outcome
+                elif self._take(index, outcome):
                     due.append(index)
             else:
                 elsewhere.append((index, action))
@@ -505,14 +508,18 @@ class VectorEnv(VectorAttributes):
                     starts.append((index, start))
                 else:
                     yield from self._make_idle(index)
-            making = [(index, self.slots[index].prepares_in_place(start), self.slots[index].prepare(start))
-                      for index, start in starts]  # fmt: skip
-            outcomes: dict[int, Any] = yield from self._all(making)
+            making = [(index, start) for index, start in starts if not self.slots[index].fits(start)]
+            outcomes: dict[int, Any] = yield from self._all(
+                [
+                    (index, self.slots[index].prepares_in_place(start), self.slots[index].prepare(start))
+                    for index, start in making
+                ]
+            )
             outcomes |= yield from self._all(
                 [
                     (index, self.slots[index].in_place, self.slots[index].reset(start, options))
                     for index, start in starts
-                    if outcomes[index] is None
+                    if outcomes.get(index) is None
                 ]
             )
             indices = [index for index, start in starts if self._take_reset(index, start, outcomes[index])]
