@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 from click.shell_completion import CompletionItem
@@ -36,12 +36,16 @@ from gem_core.registry.lookup import registry
 from gem_core.registry.specs import CommandSpec
 from gem_core.suggestions import did_you_mean
 
+if TYPE_CHECKING:
+    from gem_core.cli.play_session import PlaySession
+
 __all__ = [
     "AGENTS",
     "ENVS",
     "INTERRUPTED",
     "AtLeast",
     "Column",
+    "PlaySession",
     "Words",
     "agent_options",
     "arguments_option",
@@ -66,6 +70,15 @@ __all__ = [
     "wrapped",
     "wrapper_stack",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "PlaySession":  # its module loads environments
+        from gem_core.cli.play_session import PlaySession
+
+        return PlaySession
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 _OWN = {record.name: record for record in gem_add_commands()}
 

@@ -27,11 +27,12 @@ def checked_result(result: object) -> StepResult:
     if not isinstance(result, tuple) or len(result) != 5:
         raise TypeError(f"step must return (observation, reward, terminated, truncated, info), not {result!r:.200}")
     observation, reward, terminated, truncated, info = result
+    number = checked_reward(reward)
     _check_types(observation, info)
     for name, flag in (("terminated", terminated), ("truncated", truncated)):
         if type(flag) is not bool and not (isinstance(flag, _FLAGS) and flag in (0, 1)):
             raise TypeError(f"{name} must be True or False, not {flag!r:.200}")  # any object would count as one of them
-    return observation, checked_reward(reward), bool(terminated), bool(truncated), info.copy()
+    return observation, number, bool(terminated), bool(truncated), info.copy()
 
 
 def checked_reward(reward: Any, whose: str = "the reward") -> float:

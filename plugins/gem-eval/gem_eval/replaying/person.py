@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import gem_core as gem
 from gem_core import Episode, PlanItem
-from gem_core.cli.play_session import PlaySession
+from gem_core.cli import PlaySession
 from gem_core.records import EpisodeStart
 from gem_core.registry import registry
 from gem_core.terminal import EndOfInput
