@@ -173,17 +173,10 @@ def test_one_plugin_that_offers_an_id_twice_loses_that_id(sites: dict[str, Path]
     )
 
 
-def test_where_there_are_only_tools_they_are_listed(sites: dict[str, Path]) -> None:
-    """And it is said that there are no environments."""
+def test_list_without_environments_names_a_plugin_to_install(sites: dict[str, Path]) -> None:
+    """Also beside a plugin that offers a tool alone."""
     installed = ",".join(sorted({point.name for point in entry_points(group="gem.plugins")}))
     code, shown, _ = gem_of([sites["takes_core"]], "list", GEM_PLUGINS_DISABLE=installed)
     assert code == 0
-    assert shown == "No environments are installed. Try 'pip install gem-games'.\ntool own_tool\n"
-
-
-def test_list_of_a_plugin_lists_all_that_it_offers(sites: dict[str, Path]) -> None:
-    """By its name or its distribution's, where no namespace is called so: tools and all others as well."""
-    for name in ("takes_core", "gem-takes-core"):
-        code, shown, _ = gem_of([sites["takes_core"]], "list", name)
-        assert code == 0
-        assert shown == "tool own_tool\n"  # the rest is the core's
+    assert "pip install gem-games" in shown
+    assert gem_of([sites["takes_core"]], "list", "tools", GEM_PLUGINS_DISABLE=installed)[1] == "own_tool\n"
