@@ -308,7 +308,7 @@ class DaemonPool:
     The threads of ``concurrent.futures`` are joined at exit, so that one hung job would keep the interpreter alive.
 
     Args:
-        name: Name of its threads.
+        name: Name of the threads.
         most: Threads at once; further work waits for one.
     """
 

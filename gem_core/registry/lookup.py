@@ -59,7 +59,7 @@ class Registry:
     # Looking up.
 
     def env(self, env_id: str) -> EnvSpec:
-        """Return the record of an environment.
+        """Return the spec of an environment.
 
         Raises:
             UnknownEnvError: No environment has this id; the message names the nearest, or the plugin to install.
@@ -74,13 +74,13 @@ class Registry:
         return record
 
     def env_of_folder(self, folder: Path) -> EnvSpec:
-        """Return the record of the environment that a folder belongs to; see ``EnvSpec.folder_markers``.
+        """Return the spec of the environment that a folder belongs to; see ``EnvSpec.folder_markers``.
 
         Args:
-            folder: It has one of the files itself, or folders in it do, or folders in those.
+            folder: A folder with one of the files, at most two levels deep.
 
         Raises:
-            UnknownEnvError: It belongs to none, or to several.
+            UnknownEnvError: The folder belongs to no environment, or to several.
         """
         takers = [record for record in self.envs() if record.folder_markers]
         for below in ("", "*/", "*/*/"):
@@ -100,11 +100,11 @@ class Registry:
         )
 
     def wrapper(self, name: str) -> NamedSpec:
-        """Return the record of a wrapper or tool."""
+        """Return the spec of a wrapper or tool."""
         return self._find("wrapper", name, UnknownWrapperError)
 
     def tool(self, name: str) -> ToolSpec:
-        """Return the record of a tool."""
+        """Return the spec of a tool."""
         self.raise_if_ambiguous("wrapper", name)
         record = self._named.get("wrapper", {}).get(name)
         if not isinstance(record, ToolSpec):
@@ -118,20 +118,20 @@ class Registry:
         return record
 
     def backend(self, name: str) -> VectorBackendSpec:
-        """Return the record of a vector backend."""
+        """Return the spec of a vector backend."""
         return self._find("vector backend", name, UnknownBackendError)  # type: ignore[return-value]
 
     def agent(self, name: str) -> AgentSpec:
-        """Return the record of an agent."""
+        """Return the spec of an agent."""
         return self._find("agent", name, UnknownAgentError)  # type: ignore[return-value]
 
     def provider(self, env_id: str) -> Plugin | None:
-        """Return the plugin that offers an environment; None for one that the program registered itself."""
+        """Return the plugin that offers an environment; None for an environment that the program registered."""
         self.load()
         return self._providers.get(env_id)
 
     def plugins_named(self, name: str) -> list[Plugin]:
-        """Return the plugins whose entry point, or whose distribution, has a name."""
+        """Return the plugins of a name, which is their entry point's or their distribution's."""
         found = [plugin for plugin in self.plugins() if name in (plugin.name, plugin.distribution)]
         if found:
             return found
@@ -141,7 +141,7 @@ class Registry:
         )
 
     def envs(self, pattern: str | None = None) -> list[EnvSpec]:
-        """Return the records of environments in order of id.
+        """Return the specs of environments in order of id.
 
         Args:
             pattern: A namespace, part of an id, or a glob such as ``game:*-easy``; None for all.
@@ -209,7 +209,7 @@ class Registry:
                 self._loading = False
 
     def add(self, record: EnvSpec) -> None:
-        """Add an environment that the program itself registers.
+        """Add an environment that the program registers.
 
         Raises:
             RegistrationError: The id is taken. The same class may be registered again, as a notebook cell does.
@@ -226,7 +226,7 @@ class Registry:
             self._envs[record.id] = record
 
     def _take(self, plugins: list[Plugin]) -> None:
-        """Add the records of plugins, the core's first; an id or name that several claim is given to none of them."""
+        """Add the specs of plugins, the core's first; an id or name that several claim is ambiguous."""
         claims: dict[Key, list[tuple[Plugin, Record | None]]] = {}
         for plugin in plugins:
             if not plugin.disabled:
@@ -275,7 +275,7 @@ class Registry:
     # Error messages.
 
     def install_hint(self, name: str, kind: str | None = None) -> str:
-        """Return the sentence that says which plugin to install for a name, or which one is disabled.
+        """Return a sentence that names the plugin to install for a name, or the disabled plugin that has it.
 
         Args:
             name: Name of a record, or a namespace of environments.

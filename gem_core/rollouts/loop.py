@@ -1,4 +1,4 @@
-"""The loop: an agent plays an episode. Whoever asks where GEM's loop is starts to read here.
+"""The loop: an agent plays an episode. Start to read GEM here.
 
 ``play`` is one episode: reset, ask, step, record, until it is over. ``play_slot`` plays the episodes of a plan in one
 slot, one after another. ``run_slots`` does that in all slots side by side, and yields the episodes as they finish;
