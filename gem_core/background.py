@@ -189,12 +189,7 @@ async def in_thread(function: Callable[..., T], *args: Any) -> T:
 
     def work() -> None:
         try:
-            result = context.run(function, *args)
-        except StopIteration as error:
-            # An asyncio future of Python 3.11 refuses a StopIteration, and the waiter would wait for ever.
-            stopped = RuntimeError(f"{getattr(function, '__qualname__', function)} raised StopIteration")
-            stopped.__cause__ = error
-            future.set_exception(stopped)
+            result = context.run(_called, function, *args)
         except BaseException as error:  # noqa: BLE001 - it is raised again in the task that waits
             future.set_exception(error)
         else:
@@ -202,6 +197,14 @@ async def in_thread(function: Callable[..., T], *args: Any) -> T:
 
     threading.Thread(target=work, name="gem-blocking", daemon=True).start()
     return await asyncio.wrap_future(future)
+
+
+def _called(function: Callable[..., T], *args: Any) -> T:
+    """Call a function for a future, which refuses a ``StopIteration``: its waiter would wait for ever."""
+    try:
+        return function(*args)
+    except StopIteration as error:
+        raise RuntimeError(f"{getattr(function, '__qualname__', function)} raised StopIteration") from error
 
 
 async def side_by_side(jobs: Mapping[str, Coroutine[Any, Any, T]]) -> dict[str, T]:
@@ -282,7 +285,7 @@ class Door:
             future, function, args = call
             if not future.cancelled():
                 try:
-                    outcomes.append((future, function(*args), None))
+                    outcomes.append((future, _called(function, *args), None))
                 except Exception as error:  # noqa: BLE001 - it is raised again in the coroutine that waits
                     outcomes.append((future, None, error))
             if self._calls.empty():  # the loop is woken once for all that were waiting

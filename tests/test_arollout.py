@@ -498,3 +498,15 @@ def test_endless_plans_are_drawn_from_as_slots_need_them() -> None:
         await episodes.aclose()  # type: ignore[attr-defined]  # it is a generator
 
     run(main())
+
+
+def test_a_run_that_is_left_logs_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    """What was cancelled then is no error that nobody saw."""
+
+    async def main() -> None:
+        async for _ in gem.arollout(COUNTDOWN, answer_a, episodes=9, num_envs=4):
+            break
+
+    asyncio.run(main())
+    gc.collect()
+    assert not caplog.records

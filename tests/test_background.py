@@ -11,7 +11,15 @@ from typing import Any
 
 import pytest
 
-from gem_core.background import background_loop, in_thread, on_library_loop, run_sync, run_without_loop, side_by_side
+from gem_core.background import (
+    Door,
+    background_loop,
+    in_thread,
+    on_library_loop,
+    run_sync,
+    run_without_loop,
+    side_by_side,
+)
 from gem_core.errors import BridgeError
 
 
@@ -133,6 +141,13 @@ def test_in_thread_passes_the_error_on(error: Exception, text: str) -> None:
 
     with pytest.raises((ValueError, RuntimeError), match=f"{text}$"):
         asyncio.run(asyncio.wait_for(in_thread(fail_so), 30))
+
+
+def test_stop_iteration_in_the_callers_thread_comes_to_who_waits() -> None:
+    """As of an agent whose answers are used up."""
+    door = Door()
+    with pytest.raises(RuntimeError):
+        door.run(asyncio.wait_for(door.here(next, iter(())), 30))
 
 
 def test_cancelled_wait_leaves_no_trace(capfd: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from toys import CountdownEnv, Notebook, sampling_agent
 
 import gem_core as gem
+from gem_core.background import run_sync
 from gem_core.errors import (
     AgentError,
     ArgumentError,
@@ -380,6 +381,21 @@ def test_what_was_made_for_the_run_is_closed_and_what_was_given_is_not(monkeypat
     assert closed == []
     list(gem.rollout(COUNTDOWN, sampling_agent, episodes=1))
     assert closed == ["closed"]
+
+
+def test_a_run_collected_on_the_library_loop_closes_what_it_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The garbage collector runs in any thread."""
+    closed = threading.Event()
+    close = gem.VectorEnv.close
+    monkeypatch.setattr(gem.VectorEnv, "close", lambda self: (close(self), closed.set())[0])
+    runs = [gem.rollout(COUNTDOWN, sampling_agent, episodes=2)]
+    next(runs[0])
+
+    async def forget() -> None:
+        runs.clear()
+
+    run_sync(forget())
+    assert closed.wait(30)
 
 
 def test_an_agent_may_be_given_by_name() -> None:

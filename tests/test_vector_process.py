@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -111,6 +112,28 @@ def test_a_slot_goes_on_when_its_former_environment_closes_late() -> None:
     former.close()
     assert not present.step("a")[2]
     pool.close()
+
+
+def test_an_interrupted_request_ends_its_worker() -> None:
+    """Its reply would be read as that of the next request."""
+
+    class InterruptedWorker(HereWorker):
+        interrupt = False
+
+        def request(self, data: bytes, timeout_s: float | None) -> bytes:
+            if self.interrupt:
+                raise KeyboardInterrupt
+            return super().request(data, timeout_s)
+
+    setup = VectorSetup.of(INLINE, 1, seed=3)
+    worker = InterruptedWorker(pickle.dumps(setup))
+    vector = VectorEnv(setup, pool=WorkerPool(setup, lambda packed: worker, 1))
+    vector.reset()
+    worker.interrupt = True
+    with pytest.raises(KeyboardInterrupt):
+        vector.sample_random_action(0)
+    assert not worker.alive
+    vector.close()
 
 
 # Death from outside.

@@ -13,7 +13,7 @@ from typing import Any, TypedDict, TypeVar, Unpack, overload
 
 import gymnasium
 
-from gem_core.background import Door, in_thread
+from gem_core.background import Door, in_thread, on_background_loop, run_or_schedule
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError
 from gem_core.progress import Progress
@@ -278,7 +278,10 @@ def _drive(run: _Run) -> Iterator[Record]:
         while (record := door.run(next_episode())) is not None:
             yield record
     finally:
-        if not door.interrupted:  # then they have ended
+        if on_background_loop():  # collected there, where nothing can wait
+            door.interrupted = True
+            run_or_schedule(episodes.aclose())
+        elif not door.interrupted:  # then they have ended
             door.run(episodes.aclose())
 
 

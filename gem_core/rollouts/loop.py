@@ -262,7 +262,13 @@ async def run_slots(run: Run) -> AsyncGenerator[Record]:
     """
     tasks = [asyncio.create_task(play_slot(run, slot)) for slot in run.vector.slots]
     ended = asyncio.gather(*tasks)
-    ended.add_done_callback(lambda _: run.finished.put_nowait(None))
+
+    def tell(_: object) -> None:
+        run.finished.put_nowait(None)
+        if not ended.cancelled():
+            ended.exception()  # so that asyncio does not log it where the caller has left
+
+    ended.add_done_callback(tell)
     try:
         while (record := await run.finished.get()) is not None:
             yield record
@@ -273,8 +279,6 @@ async def run_slots(run: Run) -> AsyncGenerator[Record]:
             task.cancel()
         # A coroutine that swallows its cancellation must not block the end of the run.
         await asyncio.wait(tasks, timeout=_CANCELLING_S)
-        if ended.done() and not ended.cancelled():
-            ended.exception()  # it has been raised, or the caller has left
 
 
 def describe(slot: Slot) -> dict[str, Any]:

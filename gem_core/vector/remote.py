@@ -137,6 +137,11 @@ class WorkerPool:
                         told = f"a step or reset took longer than step_timeout, {timeout_s:g} s"
                         failure = Failure("timeout", told)
                     raise WorkerFailureError(failure) from None
+                except BaseException:
+                    # Interrupted: its reply would be taken for that of the next request.
+                    worker.kill()
+                    place.worker = None
+                    raise
         value = _unpack(reply)
         if isinstance(value, Failure):
             raise WorkerFailureError(value)

@@ -266,7 +266,7 @@ class Slot:
         except TimeoutError:
             self._abandon(runner)
         failure = Failure("timeout", f"a step or reset took longer than step_timeout, {limit:g} s")
-        hanging = sum(each.abandoned for each in self.config.busy)
+        hanging = sum(each.abandoned for each in self.config.busy.copy())
         if hanging > MOST_ABANDONED:
             raise FaultBudgetError(
                 f"{hanging} environments hang in threads that cannot be ended; the last: {failure.message}. "
@@ -277,6 +277,7 @@ class Slot:
     async def _in_thread(self, runner: EnvRunner, work: Callable[..., T], *args: Any) -> T:
         """Run blocking work in a thread of the pool."""
         future: concurrent.futures.Future[T] = concurrent.futures.Future()
+        future.set_running_or_notify_cancel()  # it cannot be cancelled between a look at it and its result
 
         def run() -> None:
             outcome = None if runner.abandoned else work(*args)
@@ -284,7 +285,7 @@ class Slot:
                 self.config.busy.discard(runner)
             if runner.abandoned:
                 runner.close()
-            elif not future.cancelled():
+            else:
                 future.set_result(cast("T", outcome))
 
         self.config.busy.add(runner)

@@ -467,7 +467,7 @@ class VectorEnv(VectorAttributes):
         hanging = close_all([env for runner in here for env in runner.forget()])
         left = 0 if self._pool is None else self._pool.close()
         left += wait_for_closing(0.0 if hanging or left else CLOSING_S)
-        left += sum(runner.abandoned for runner in self.config.busy)
+        left += sum(runner.abandoned for runner in self.config.busy.copy())
         self.config.pool.close()
         if left:
             logger.warning("gem: after %g seconds, environments that had not closed were left: %d", CLOSING_S, left)
