@@ -152,6 +152,15 @@ def test_worker_killed_while_idle_ends_its_episodes_as_collateral() -> None:
     vector.close()
 
 
+def test_a_rollout_begins_after_an_idle_worker_was_killed() -> None:
+    """How many tasks there are does not depend on the episode that was lost."""
+    vector = gem.make_vec(INLINE, 1, backend="process", seed=3, length=5)
+    vector.reset()
+    kill_worker(workers()[0])
+    assert [episode.error for episode in gem.rollout(vector, lambda observation: "a", episodes=1)] == [None]
+    vector.close()
+
+
 def test_worker_killed_in_the_middle_of_a_step_truncates_that_step() -> None:
     """Those that lived beside it end when they are stepped next."""
     vector = gem.make_vec([THREAD, INLINE], 4, backend=("process", {"workers": 1}), seed=3, length=5)

@@ -239,6 +239,9 @@ class VectorEnv(VectorAttributes):
                 return cast("T", slot.runner.apply(function, *args))
             except WorkerFailureError as error:
                 failure = error.failure
+                if failure.kind == "collateral" and target is not None:  # its worker was lost before; any other will do
+                    slot.runner.close()
+                    return self._asked(slot, target, function, *args)
         raise failure.error or EnvFaultError(f"{slot.name()}: {failure.message}")
 
     def sample_random_action(self, slot: int, agent: str | None = None) -> str:
