@@ -470,10 +470,11 @@ class VectorEnv(VectorAttributes):
         hanging = close_all([env for runner in here for env in runner.forget()])
         left = 0 if self._pool is None else self._pool.close()
         left += wait_for_closing(0.0 if hanging or left else CLOSING_S)
-        left += sum(runner.abandoned for runner in self.config.busy.copy())
+        busy = [runner for runner in self.config.busy.copy() if not isinstance(runner.env, RemoteEnv)]
+        left += sum(runner.abandoned for runner in busy)
         self.config.pool.close()
         if left:
-            logger.warning("gem: after %g seconds, environments that had not closed were left: %d", CLOSING_S, left)
+            logger.warning("gem: environments that did not close in time, or were at work, were left: %d", left)
 
     def __enter__(self) -> Self:
         return self
