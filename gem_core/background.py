@@ -283,7 +283,9 @@ class Door:
         call = self._calls.get()
         while call is not None:
             future, function, args = call
-            if not future.cancelled():
+            if self.interrupted:
+                background_loop().call_soon_threadsafe(future.cancel)
+            elif not future.cancelled():
                 try:
                     outcomes.append((future, _called(function, *args), None))
                 except Exception as error:  # noqa: BLE001 - it is raised again in the coroutine that waits

@@ -6,7 +6,7 @@ import asyncio
 import inspect
 import itertools
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AsyncExitStack, ExitStack, contextmanager
+from contextlib import AsyncExitStack, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict, TypeVar, Unpack, overload
@@ -281,8 +281,9 @@ def _drive(run: _Run) -> Iterator[Record]:
         if on_background_loop():  # collected there, where nothing can wait
             door.interrupted = True
             run_or_schedule(episodes.aclose())
-        elif not door.interrupted:  # then they have ended
-            door.run(episodes.aclose())
+        else:
+            with suppress(*[RuntimeError] * door.interrupted):  # a second interrupt may have left them running
+                door.run(episodes.aclose())
 
 
 async def _episodes(run: _Run, door: Door | None = None) -> AsyncGenerator[Record]:
