@@ -281,9 +281,11 @@ def _drive(run: _Run) -> Iterator[Record]:
         if on_background_loop():  # collected there, where nothing can wait
             door.interrupted = True
             run_or_schedule(episodes.aclose())
-        else:
-            with suppress(*[RuntimeError] * door.interrupted):  # a second interrupt may have left them running
+        elif door.interrupted:
+            with suppress(RuntimeError):  # a second interrupt may have left them running
                 door.run(episodes.aclose())
+        else:
+            door.run(episodes.aclose())
 
 
 async def _episodes(run: _Run, door: Door | None = None) -> AsyncGenerator[Record]:
