@@ -8,7 +8,7 @@ KNOWN_DISTRIBUTIONS: dict[str, dict[str, str]] = {
     "gem-eval": {
         "tool": "distractor_tools",
         "wrapper": "cut_outputs paraphrase renamed_parameters tool_429 tool_timeout typos",
-        "command": "audit bench-env compare eval export replay report robustness score show view",
+        "command": "audit compare eval export replay report score show view",
     },
     "gem-games": {"namespace": "game ta", "agent": "bisect hanoi kuhn mastermind negotiator tictactoe wikigame"},
     "gem-mcpmark": {"namespace": "mcp"},

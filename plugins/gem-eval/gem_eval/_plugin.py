@@ -9,7 +9,7 @@ from gem_core import CommandSpec, ToolSpec, WrapperSpec, hookimpl
 
 @hookimpl
 def gem_add_commands() -> Iterable[CommandSpec]:
-    """The commands for runs and recorded episodes, and those that measure."""
+    """The commands for runs, recorded episodes and audits."""
     return [
         CommandSpec(
             name="eval",
@@ -55,16 +55,6 @@ def gem_add_commands() -> Iterable[CommandSpec]:
             name="export",
             entry_point="gem_eval.exporting.command:command",
             summary="Write runs as CSV, Parquet, JSON lines, or logs of inspect_ai.",
-        ),
-        CommandSpec(
-            name="robustness",
-            entry_point="gem_eval.robustness.command:command",
-            summary="Score a model with and without disturbances, and show how much its score falls.",
-        ),
-        CommandSpec(
-            name="bench-env",
-            entry_point="gem_eval.measuring.command:command",
-            summary="Measure time, memory, tokens and rewards of environments.",
         ),
     ]
 

@@ -30,7 +30,7 @@ def asked_of(info: Mapping[str, Any]) -> dict[str, Any]:
             for label, task in tasks.items()
         },
         "model": {
-            label: {name: model.get(name) for name in ("agent", "options", "base_url")}
+            label: {name: model.get(name) for name in ("agent", "options", "base_url", "perturb")}
             for label, model in models.items()
         },
     }

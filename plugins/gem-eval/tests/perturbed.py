@@ -7,7 +7,6 @@ from typing import Any
 import pydantic
 
 import gem_core as gem
-from gem_core.errors import RequestError
 from gem_core.types import ResetResult, StepResult
 
 
@@ -73,32 +72,7 @@ class Echo(gem.Env):
         return gem.TERMINAL_STATE, float(action == "hello"), True, False, {"correct": action == "hello"}
 
 
-def reads_to_the_end(observation: Any, context: Any) -> str:
-    """Solve ``Dice`` with a call of a tool first, and only where that was answered."""
-    if "Output of weather" in str(observation):
-        return "right"
-    return "wrong" if "Error from weather" in str(observation) else "<weather>Oslo</weather>"
-
-
-def literal(observation: Any, context: Any) -> str:
-    """Solve ``Echo`` where the task is as it was written, to the letter."""
-    return "hello" if observation == "Please say hello to everybody in the room." else "what?"
-
-
 def register() -> None:
     """Register the environments."""
     gem.register("perturbed:Dice-v0", Dice)
     gem.register("perturbed:Echo-v0", Echo)
-    gem.register("perturbed:Needy-v0", Dice, requires=("never:it is only listed",))
-
-
-def stops_when_reworded(observation: Any, context: Any) -> str:
-    """Answer the task as it was written, and press Ctrl-C for any other."""
-    if literal(observation, context) != "hello":
-        raise KeyboardInterrupt
-    return "hello"
-
-
-def never_answers(observation: Any, context: Any) -> str:
-    """Fail as an agent does whose model server is gone."""
-    raise RequestError("the server is gone")

@@ -19,7 +19,7 @@ import gem_core as gem
 from gem_core import Response
 from gem_core.errors import ArgumentError, RequestError
 from gem_core.rollouts import Context
-from gem_eval import Limits, Suite, compute_row_scores, compute_scores, evaluate, open_run
+from gem_eval import Limits, Suite, compare, compute_row_scores, compute_scores, evaluate, open_run
 from gem_eval.running.evaluation import EvaluationSession, TooManyErrorsError
 
 GAME = "game:GuessTheNumber-v0-easy"
@@ -148,6 +148,31 @@ def test_a_role_is_given_to_environments_that_have_it() -> None:
         suite({"id": "evaltest:Judged"}, roles={"prompt_template": "Say {question}", "judge": "x"}), {"a": wrong}
     )
     assert run.episode(run.rows[0]).observation == "Say 0+1?"
+
+
+def test_a_model_is_also_played_perturbed() -> None:
+    """On the same rows and seeds, its wrappers between tools and views; the record can be compared."""
+    tasks = suite({"id": "evaltest:Sums", "limit": 3, "tools": ["distractor_tools"], "wrappers": ["concat"]})
+    run = evaluate(tasks, {"a": right}, perturb=["tool_429:rate=1,typos"], out="run")
+    stacks = {row.model: [name for name, _ in run.episode(row).wrappers] for row in run.rows}
+    assert stacks == {"a": ["tools", "concat"], "a + tool_429:rate=1,typos": ["tools", "tool_429", "typos", "concat"]}
+    plain, perturbed = ({(row.row, row.seed) for row in run.rows if row.model == name} for name in stacks)
+    assert plain == perturbed
+    assert compare("run").a.model == "a"
+    with pytest.raises(ArgumentError, match="--out"):  # it goes on only with the same variants
+        evaluate(tasks, {"a": right}, out="run")
+    with pytest.raises(ArgumentError, match="name tools before it"):
+        evaluate(["evaltest:Sums"], {"a": right}, perturb=["tool_429"])
+
+
+def test_the_record_says_what_episodes_took() -> None:
+    """Seconds, steps a second, tokens, and the share of rows from which GRPO learns nothing."""
+    evaluate(suite({"id": "evaltest:Sums"}, epochs=2), {"a": right}, out="run")
+    (taken,) = json.loads(Path("run/metrics.json").read_text())["times"]
+    assert (taken["episodes"], taken["turns"], taken["tokens_in"], taken["tokens_out"]) == (18, 1, 10, 2)
+    assert 0 < taken["env_seconds"]["p50"] <= taken["seconds"]["p99"]
+    assert taken["steps_per_second"] > 0
+    assert taken["equal_rows"] == 1.0
 
 
 class Stopper:

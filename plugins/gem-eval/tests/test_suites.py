@@ -121,7 +121,7 @@ def test_suites_that_differ_in_what_holds_for_a_run_are_refused(tmp_path: Path) 
         combined_suite([written(tmp_path, "tasks: [{id: a:B}]\nepochs: 2"), tmp_path / "two.yaml"])
 
 
-ROW = {"level": "5", "subject": "Algebra", "year": 2024, "tags": ["a", "b"], "text": "x"}
+ROW = {"level": 5, "subject": "Algebra", "year": 2024, "tags": ["a", "b"], "text": "x"}
 
 
 @pytest.mark.parametrize(
@@ -136,10 +136,11 @@ ROW = {"level": "5", "subject": "Algebra", "year": 2024, "tags": ["a", "b"], "te
         ("year == -2024", False),
         ("'a' in tags", True),
         ("text == 5 or year == 2024", True),
+        ("year == '2024'", False),
     ],
 )
 def test_a_condition_holds_or_not(condition: str, holds: bool) -> None:
-    """Numbers are numbers, also where a data set writes them as text."""
+    """As Python says."""
     assert parse_condition(condition)(ROW) is holds
 
 
@@ -153,17 +154,11 @@ def test_what_is_no_condition_is_refused(condition: str) -> None:
         parse_condition(condition)
 
 
-def test_an_unknown_column_names_those_that_there_are() -> None:
-    """And the nearest."""
-    with pytest.raises(
-        ArgumentError, match=r"there is no column 'levle'\. Did you mean 'level'\? Columns: level, subject"
-    ):
+def test_a_condition_that_does_not_fit_the_rows_says_why() -> None:
+    """An unknown column with the nearest, and an order of text and number."""
+    with pytest.raises(ArgumentError, match=r"'levle'.*Did you mean 'level'"):
         parse_condition("levle == 5")(ROW)
-
-
-def test_an_order_of_text_and_number_is_refused() -> None:
-    """It would be a quiet False."""
-    with pytest.raises(ArgumentError, match="'x' and 5 have no order"):
+    with pytest.raises(ArgumentError, match="not supported between"):
         parse_condition("text > 5")(ROW)
 
 

@@ -49,6 +49,12 @@ Examples:
   gem eval tasks.yaml --model my_module:my_agent --where 'level == 5'
   gem eval tau-sample --model openai:gpt-5-mini --role user=openai:gpt-5-nano --run-cost 5
   gem eval games --model openai:gpt-5-mini --retry-errors
+  gem eval math:GSM8K --model openai:gpt-5-mini --tools python --perturb tool_429 --perturb typos,paraphrase
+\b
+--perturb also plays each row as a variant of the model, such as 'openai:gpt-5-mini + typos': its tools,
+outputs or task are disturbed, by seed. 'gem compare RUN' shows how much the score falls. It takes tool_429,
+tool_timeout, cut_outputs, distractor_tools, renamed_parameters, paraphrase, typos, and any other name of
+'gem list wrappers' and 'gem list tools'; 'gem info NAME' says what each does, and its options.
 \b
 The same command goes on with a run that was stopped, and begins a new one after it has finished; --new
 always begins a new one. Rows and seeds are the same in every run of a suite, so that two runs
@@ -58,6 +64,7 @@ If the code of an environment or an agent has changed, it says what, and asks fo
 Each score stands with its 95 % interval, clustered by row. An episode that was cut off by a limit
 is not solved; if leaving such episodes out changes the score, that is shown as well. Episodes with
 an error (a server that did not answer, an environment that failed) are in no score.
+With --json also what episodes took: seconds, steps a second, tokens.
 \b
 Exit code: 0 if every episode ran, 1 if one had an error or a limit of the run was reached, 2 for a
 wrong argument, 130 after Ctrl-C.
@@ -82,6 +89,13 @@ wrong argument, 130 after Ctrl-C.
 @click.option("--sample-ids", metavar="ID,ID", help="Only the rows with these values of task_id.")
 @click.option("--shuffle", type=click.IntRange(min=0), metavar="SEED", help="Take rows in a random order.")
 @click.option("--where", metavar="CONDITION", help="Only rows that fit: 'level == 5 and subject != \"Geometry\"'.")
+@click.option(
+    "-p",
+    "--perturb",
+    multiple=True,
+    metavar="NAME[:OPTION=VALUE]",
+    help="Also play a variant of each model; see below.",
+)
 @click.option(
     "-n",
     "--episodes",
@@ -119,7 +133,7 @@ wrong argument, 130 after Ctrl-C.
 @click.option("-o", "--out", metavar="FOLDER", help="Folder of the run.  [default: a new one in runs/]")
 @click.option("--new", is_flag=True, help="Begin a new run, even if one was stopped.")
 @click.option("--go-on-anyway", is_flag=True, help="Go on with a run although code of it was changed.")
-@click.option("--json", "as_json", is_flag=True, help="Write the scores as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Write scores and times as JSON.")
 @agent_options
 @click.pass_context
 def command(
@@ -273,6 +287,7 @@ def _suite(targets: tuple[str, ...], options: dict[str, Any]) -> Suite:
     for name in ("tools", "wrappers"):
         own[name] = tuple(choice for text in options.pop(name) for choice in parsed_choices(text, f"--{name}")) or None
     own["kwargs"] = env_arguments(options.pop("arguments"))
+    own["perturb"] = options.pop("perturb") or None
     own["roles"] = _roles(options.pop("roles"))
     own["sampling"] = given(options)
     return changed_suite(suite, {name: value for name, value in own.items() if value not in (None, {})})  # type: ignore[arg-type]

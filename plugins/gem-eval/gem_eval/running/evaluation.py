@@ -23,6 +23,7 @@ from gem_eval.running.limits import RUN_LIMITS, Limits, MeteredAgent, RunMeter, 
 from gem_eval.running.planning import Evaluation, digest, plan_evaluation
 from gem_eval.running.prices import load_prices
 from gem_eval.running.provenance import code_of_agent, code_of_env, host, versions
+from gem_eval.running.times import times
 from gem_eval.scores import Score, compute_row_scores, compute_scores
 from gem_eval.settings import asked_differently, asked_of, code_in
 from gem_eval.suites import Model, Suite, SuiteChanges, changed_suite, combined_suite
@@ -133,8 +134,8 @@ class EvaluationSession:
         self._command = command
         self._scores: list[Score] | None = None
         self._given = models or self.suite.models
-        self._agents, self._models = _load_models(self._given, self.suite.sampling)
-        self.plan: Evaluation = plan_evaluation(self.suite, list(self._agents))
+        self._agents, self._models = _load_models(self._given, self.suite)
+        self.plan: Evaluation = plan_evaluation(self.suite, self._models)
         self._settings: dict[str, Any] = json.loads(json.dumps(self._described_run()))
         self._check_prices()
         self.path, self.goes_on = self._find_folder(out, new)
@@ -169,8 +170,8 @@ class EvaluationSession:
         return self._scores
 
     def metrics(self) -> dict[str, Any]:
-        """Return the scores so far as plain JSON, with those of each row where there are several epochs."""
-        metrics = {"scores": [score.to_dict() for score in self.scores()]}
+        """Return the scores and times so far as plain JSON, with the scores of each row if there are several epochs."""
+        metrics = {"scores": [score.to_dict() for score in self.scores()], "times": times(self.rows())}
         if self.plan.epochs > 1:
             metrics["rows"] = [score.to_dict() for score in compute_row_scores(self.rows())]
         return metrics
@@ -193,7 +194,7 @@ class EvaluationSession:
         with ExitStack() as at_end:
             if not self.goes_on:
                 at_end.callback(_remove_if_empty, self.path)
-            for agent in self._agents.values():
+            for agent in {id(agent): agent for agent in self._agents.values()}.values():
                 prepare_agent(agent)  # it says at the start what would fail later
                 at_end.callback(partial(close_agent, agent))
             writer = at_end.enter_context(RunWriter(self.path))
@@ -234,11 +235,10 @@ class EvaluationSession:
         left = self.plan.episodes - len(done)
         if not left:
             return
-        entries = [(task.env_id, task.kwargs) for task in self.plan.tasks]
         slots = min(left, self._slots())
         # What stops a run that fails is the threshold alone.
         vector = gem.make_vec(
-            entries,
+            self.plan.envs,
             slots,
             backend=self._backend,
             seed=self.suite.seed,
@@ -271,8 +271,8 @@ class EvaluationSession:
         taken = meter.episodes.pop(f"{episode.key}.{episode.repeat}", None)
         if taken is not None:
             told |= {
-                "seconds": round(time.monotonic() - taken.started, 4),
-                "model_seconds": round(taken.model_seconds, 4),
+                "seconds": round(time.monotonic() - taken.started, 6),
+                "model_seconds": round(taken.model_seconds, 6),
                 "cost": taken.cost,
                 "cached": taken.cached,
             }
@@ -316,7 +316,8 @@ class EvaluationSession:
             "agent": model.agent,
             "options": {**self.suite.sampling, **model.options},
             "base_url": getattr(agent, "base_url", None),
-            "code": code_of_agent(self._given[model.label] if isinstance(self._given, Mapping) else model.agent),
+            "code": code_of_agent(self._given[model.agent] if isinstance(self._given, Mapping) else model.agent),
+            **({"perturb": model.perturb} if model.perturb else {}),
         }
         plain: dict[str, Any] = without_secrets(to_plain(told))
         return plain
@@ -429,28 +430,36 @@ def as_suite(given: Suite | str | Path | Sequence[str]) -> Suite:
     return combined_suite([given] if isinstance(given, str | Path) else list(given))
 
 
-def _load_models(given: Models, sampling: Mapping[str, Any]) -> tuple[dict[str, Agent], list[Model]]:
-    """Return the agents by the names that scores call them, and what is known of each."""
+def _load_models(given: Models, suite: Suite) -> tuple[dict[str, Agent], list[Model]]:
+    """Return the agents by the names that scores call them, and what is known of each; variants stand behind."""
+    agents: dict[str, Agent]
     if isinstance(given, Mapping):
         models = [Model(agent=name) for name in given]
         agents = {
-            name: load_agent(agent, **sampling) if isinstance(agent, str) else as_agent(agent)
+            name: load_agent(agent, **suite.sampling) if isinstance(agent, str) else as_agent(agent)
             for name, agent in given.items()
         }
-        return agents, models
-    each = [given] if isinstance(given, str | Model) else list(given)
-    models = [Model(agent=model) if isinstance(model, str) else model for model in each]
+    else:
+        each = [given] if isinstance(given, str | Model) else list(given)
+        models = [Model(agent=model) if isinstance(model, str) else model for model in each]
+        agents = {}
     if not models:
         raise ArgumentError("there is no model to evaluate: name one by --model, as openai:MODEL or MODULE:CALLABLE")
     twice = [label for label, count in Counter(model.label for model in models).items() if count > 1]
     if twice:
         raise ArgumentError(f"two models are called {twice[0]!r}: give one of them a name of its own")
-    plain = [model.agent for model in models if not model.options]
-    shared = load_agents(plain, **sampling) if plain else {}
-    return {
-        model.label: load_agent(model.agent, **{**sampling, **model.options}) if model.options else shared[model.agent]
-        for model in models
-    }, models
+    plain = [model.agent for model in models if not model.options and not agents]
+    shared = load_agents(plain, **suite.sampling) if plain else {}
+    for model in models:
+        if model.label not in agents:
+            options = {**suite.sampling, **model.options}
+            agents[model.label] = load_agent(model.agent, **options) if model.options else shared[model.agent]
+    for model in list(models):
+        for perturb in suite.perturb:
+            name, both = f"{model.label} + {perturb}", ",".join(filter(None, (model.perturb, perturb)))
+            models.append(model.model_copy(update={"name": name, "perturb": both}))
+            agents[name] = agents[model.label]
+    return agents, models
 
 
 def _remove_if_empty(path: Path) -> None:

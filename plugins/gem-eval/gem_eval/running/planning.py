@@ -14,15 +14,15 @@ import numpy as np
 import gem_core as gem
 from gem_core import EnvSpec, PlanItem
 from gem_core.arguments import signature_of
-from gem_core.cli import find_envs, wrapper_stack
+from gem_core.cli import find_envs, parsed_choices, wrapper_stack
 from gem_core.env import stable_hash
 from gem_core.errors import ArgumentError
 from gem_core.records import to_plain
-from gem_core.registry import load_entry_point
+from gem_core.registry import ToolSpec, load_entry_point, registry
 from gem_eval.running.conditions import parse_condition
 
 if TYPE_CHECKING:
-    from gem_eval.suites import Suite, SuiteTask
+    from gem_eval.suites import Model, Suite, SuiteTask
 
 
 @dataclass(frozen=True)
@@ -67,14 +67,12 @@ class Evaluation:
 
     Args:
         tasks: The tasks.
-        models: Names of the models.
         epochs: How often each row is played by each model.
         items: The plan.
         row_of: Task and row of each item of the plan.
     """
 
     tasks: list[PlannedTask]
-    models: list[str]
     epochs: int
     items: list[PlanItem]
     row_of: list[tuple[PlannedTask, PlannedRow]]
@@ -84,8 +82,14 @@ class Evaluation:
         """Number of episodes."""
         return len(self.items) * self.epochs
 
+    @property
+    def envs(self) -> list[tuple[str, dict[str, Any]]]:
+        """The environments, each with its keyword arguments."""
+        distinct = {id(item.kwargs): (item.id or "", dict(item.kwargs or {})) for item in self.items}
+        return list(distinct.values())
 
-def plan_evaluation(suite: Suite, models: Sequence[str]) -> Evaluation:
+
+def plan_evaluation(suite: Suite, models: Sequence[Model]) -> Evaluation:
     """Return what an evaluation of a suite plays.
 
     Rows get their seeds from the suite's seed and their own identity, so that another task, limit or order leaves them
@@ -93,10 +97,11 @@ def plan_evaluation(suite: Suite, models: Sequence[str]) -> Evaluation:
 
     Args:
         suite: The suite.
-        models: Names of the models.
+        models: The models.
 
     Raises:
-        ArgumentError: A task that cannot be played, or of which no row is left; or two tasks of one name.
+        ArgumentError: A task that cannot be played, or of which no row is left; or two tasks of one name; or a
+            perturbation that does not fit a task.
         UnknownEnvError: There is no such environment.
     """
     given = suite.with_defaults()
@@ -110,13 +115,39 @@ def plan_evaluation(suite: Suite, models: Sequence[str]) -> Evaluation:
         )
     items, row_of = [], []
     for task in tasks:
+        kwargs = {model.perturb: _perturbed(task, model.perturb) for model in models}
         for row in task.rows:
             options = None if row.index is None else {"index": row.index}
             group = row.name if suite.epochs > 1 else None
             for model in models:
-                items.append(PlanItem(task.env_id, row.seed, options, task.kwargs, group, suite.epochs, agent=model))
+                items.append(
+                    PlanItem(
+                        task.env_id, row.seed, options, kwargs[model.perturb], group, suite.epochs, agent=model.label
+                    )
+                )
                 row_of.append((task, row))
-    return Evaluation(tasks, list(models), suite.epochs, items, row_of)
+    return Evaluation(tasks, suite.epochs, items, row_of)
+
+
+def _perturbed(task: PlannedTask, perturb: str) -> dict[str, Any]:
+    """Return the keyword arguments of a task with perturbations: outside its tools, and inside any view.
+
+    Raises:
+        ArgumentError: They do not fit the task.
+    """
+    if not perturb:
+        return task.kwargs
+    wrappers = task.kwargs.get("wrappers", [])
+    tools = [place for place, (name, _) in enumerate(wrappers) if name == "tools" or _is_tool(name)]
+    behind = max(tools, default=-1) + 1
+    more = [[name, options] for name, options in parsed_choices(perturb, "--perturb")]
+    kwargs = {**task.kwargs, "wrappers": [*wrappers[:behind], *more, *wrappers[behind:]]}
+    gem.make(task.env_id, **kwargs).close()
+    return kwargs
+
+
+def _is_tool(name: str) -> bool:
+    return ":" not in name and isinstance(registry().wrapper(name), ToolSpec)
 
 
 def _planned(task: SuiteTask, suite: Suite) -> list[PlannedTask]:

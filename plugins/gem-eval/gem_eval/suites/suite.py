@@ -90,18 +90,20 @@ class Model(_Form):
 
     Args:
         agent: Name of an agent, as ``openai:gpt-5-mini`` or ``my_module:my_agent``.
-        name: What scores call it; by default the agent's.
+        name: What scores call it; by default the agent's, and what it is perturbed by.
         options: Keyword arguments of the agent, as ``{temperature: 0.7}``, over those of the run.
+        perturb: Wrappers that disturb it, as ``typos,tool_429:rate=0.5``: put around each task, inside any view.
     """
 
     agent: str
     name: Name | None = None
     options: dict[str, Any] = {}
+    perturb: str = ""
 
     @property
     def label(self) -> str:
         """What scores call it."""
-        return self.name or self.agent
+        return self.name or (f"{self.agent} + {self.perturb}" if self.perturb else self.agent)
 
 
 def _model(given: Any) -> Any:
@@ -125,6 +127,7 @@ class Suite(_Form):
         sampling: Keyword arguments of the models, as ``{temperature: 0.7}``.
         epochs: How often each row is played.
         seed: Seed of the run.
+        perturb: What each model is also perturbed by, one variant of it each; see ``Model``.
     """
 
     name: Annotated[str, Field(pattern=r"^[\w.-]+$")] = "suite"
@@ -136,6 +139,7 @@ class Suite(_Form):
     sampling: dict[str, Any] = {}
     epochs: Annotated[int, Field(ge=1)] = 1
     seed: Annotated[int, Field(ge=0)] = 0
+    perturb: tuple[str, ...] = ()
 
     def with_defaults(self) -> list[SuiteTask]:
         """Return the tasks with what the suite says of all of them; keyword arguments are joined."""
@@ -149,13 +153,16 @@ class Suite(_Form):
 
 
 class SuiteChanges(TypedDict, total=False):
-    """What may be said in place of what a suite says: ``epochs`` and ``seed``, and of all tasks what a task may say.
+    """What may be said in place of what a suite says.
+
+    ``epochs``, ``seed`` and ``perturb`` are the run's, all others are those of a task, and hold for all tasks.
 
     ``kwargs``, ``roles`` and ``sampling`` are joined with those of the suite.
     """
 
     epochs: int
     seed: int
+    perturb: Sequence[str]
     roles: Mapping[str, str]
     sampling: Mapping[str, Any]
     kwargs: Mapping[str, Any]
@@ -179,7 +186,7 @@ def changed_suite(suite: Suite, changes: SuiteChanges) -> Suite:
     if not changes:
         return suite
     given: dict[str, Any] = dict(changes)
-    of_run = {name: given.pop(name) for name in ("epochs", "seed") if name in given}
+    of_run = {name: given.pop(name) for name in ("epochs", "seed", "perturb") if name in given}
     joined = {name: {**getattr(suite, name), **given.pop(name, {})} for name in ("roles", "sampling")}
     kwargs = given.pop("kwargs", {})
     try:
@@ -242,7 +249,7 @@ def combined_suite(targets: Sequence[str | Path]) -> Suite:
             continue
         suite = load_suite(target)
         tasks += suite.with_defaults()
-        for name in ("models", "roles", "sampling", "epochs", "seed"):
+        for name in ("models", "roles", "sampling", "epochs", "seed", "perturb"):
             value = getattr(suite, name)
             if name in suite.model_fields_set and shared.setdefault(name, value) != value:
                 raise ArgumentError(f"the suites differ in {name}, which holds for a whole run: evaluate them apart")

@@ -1,1 +1,0 @@
-"""What an environment costs, and what a policy earns in it: ``gem bench-env``."""
