@@ -16,7 +16,7 @@ Arguments = tuple[tuple[Any, ...], dict[str, Any]]
 
 
 class RemembersArguments:
-    """An environment or a wrapper: ``spawn`` makes another from the same arguments, ``fork`` one in the same state."""
+    """An environment or a wrapper: it can be made again from the same arguments, and forked in the same state."""
 
     shared_by_forks: ClassVar[tuple[str, ...]] = ()
     """Attributes that a fork shares: what is large and never changes, such as the rows of a data set."""
@@ -52,7 +52,7 @@ class RemembersArguments:
             ) from error
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        # The arguments are those from which spawn makes a sibling, which may share them as well.
+        # What is made again from the arguments shares them as well.
         shared = [vars(self).get(name) for name in ("_init_args", *self.shared_by_forks)]
         memo.update({id(value): value for value in shared})
         copied = object.__new__(type(self))
@@ -141,13 +141,3 @@ def parse_choice(given: Any, rule: str, is_one: Callable[[object], bool]) -> tup
     if isinstance(given, Sequence) and len(given) == 2 and is_one(given[0]) and isinstance(given[1], Mapping):
         return given[0], dict(given[1])
     raise ArgumentError(f"{rule}, not {given!r:.200}")
-
-
-def merge_arguments(maker: Callable[..., Any], arguments: Arguments, overrides: Mapping[str, Any]) -> Arguments:
-    """Return arguments with overrides by name; an override also replaces an argument given by position."""
-    args, kwargs = arguments
-    signature = signature_of(maker)
-    names = list(signature.parameters)[: len(args)] if signature else []
-    changed = tuple(overrides.get(name, value) for name, value in zip(names, args, strict=False))
-    by_keyword = {name: value for name, value in overrides.items() if name not in names}
-    return (*changed, *args[len(changed) :]), {**kwargs, **by_keyword}

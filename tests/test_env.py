@@ -163,19 +163,7 @@ def test_sampling_unsupported_says_what_to_override() -> None:
     assert str(caught.value) == ("StatelessEnv does not say what a valid action is; override sample_random_action")
 
 
-# State.
-
-
-# Siblings, copies.
-
-
-@pytest.mark.parametrize("make", [lambda: GuessEnv(7, turns=4), lambda: GuessEnv(high=7, turns=4)])
-def test_spawn_takes_the_arguments_over(make: Any) -> None:
-    """A sibling has the same arguments, given by position or keyword, but for those that are overridden."""
-    env = make()
-    assert (env.spawn().high, env.spawn().turns) == (7, 4)
-    assert (env.spawn(high=3).high, env.spawn(high=3).turns) == (3, 4)
-    assert (env.spawn(turns=2).high, env.spawn(turns=2).turns) == (7, 2)
+# Copies.
 
 
 def test_fork_through_make_goes_on_the_same() -> None:
@@ -185,23 +173,6 @@ def test_fork_through_make_goes_on_the_same() -> None:
     play(env, 1)
     sibling = env.fork()
     assert play(sibling) == play(env)
-
-
-def test_spawn_refuses_unknown_arguments() -> None:
-    """An override that the constructor does not have names those it has."""
-    with pytest.raises(ArgumentError) as caught:
-        gem.make("test:Guess-v3").get_wrapper_attr("spawn")(hihg=3)
-    assert str(caught.value) == (
-        "environment 'test:Guess-v3': got an unexpected keyword argument 'hihg'. Did you mean 'high'? "
-        "It accepts: high, turns"
-    )
-
-
-def test_spawn_records_its_overrides() -> None:
-    """The specification of a sibling has the sibling's arguments."""
-    env = gem.make("test:Guess-v3", turns=2)
-    assert env.get_wrapper_attr("spawn")(high=3).spec.kwargs == {"high": 3, "turns": 2}
-    assert env.spec.kwargs == {"high": 20, "turns": 2}  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])

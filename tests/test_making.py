@@ -17,6 +17,7 @@ import gem_core as gem
 from gem_core.arguments import signature_of
 from gem_core.data import DatasetOptions
 from gem_core.errors import ArgumentError, ResetNeededError, UnknownWrapperError
+from gem_core.making.again import Recipe
 from gem_core.making.environment import MadeSpec, wrap
 from gem_core.registry import lookup as registry
 
@@ -201,9 +202,9 @@ def test_keywords_that_are_handed_on_are_named() -> None:
     assert str(signature.parameters["question_key"]) == "question_key: 'str' = 'question'"
     assert signature.parameters["split"].kind is inspect.Parameter.KEYWORD_ONLY
     env = TwiceEnv([{"q": "a", "answer": "b"}], question_key="q", twice=True)
-    assert env.spawn(id_key="q").reset()[1]["task_id"] == "a"
-    with pytest.raises(ArgumentError, match=r"Did you mean 'question_key'\? It accepts: twice, dataset_name"):
-        env.spawn(question_kye="q")
+    assert Recipe.of(env).make(id_key="q").reset()[1]["task_id"] == "a"
+    with pytest.raises(ArgumentError, match=r"Did you mean 'question_key'\? It accepts: rows, twice, dataset_name"):
+        Recipe.of(env).make(question_kye="q")
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from joint_toys import AuctionEnv, CountdownEnv
 import gem_core as gem
 from gem_core import AgentSelector, MultiAgentEnv, extract_last_boxed_answer
 from gem_core.errors import ArgumentError, ResetNeededError
+from gem_core.making.again import Recipe
 
 
 def test_loop_of_the_paper_runs() -> None:
@@ -242,7 +243,8 @@ def test_turn_limit_truncates_all() -> None:
     spec = gem.spec("joint:Auction-v0")
     assert spec.seats == ("a", "b")
     made: Any = gem.make(gem.EnvSpec(id="joint:Short-v0", entry_point=AuctionEnv, kwargs={**spec.kwargs}, max_turns=2))
-    for env in made, made.spawn():
+    env: Any
+    for env in made, Recipe.of(made).make():
         env.reset(seed=0)
         env.step({"a": "1", "b": "2"})
         _, _, terminations, truncations, _ = env.step({"a": "1", "b": "2"})

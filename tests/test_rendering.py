@@ -9,6 +9,7 @@ from guess_env import GuessEnv
 from joint_toys import CountdownEnv
 
 import gem_core as gem
+from gem_core.making.again import Recipe
 from gem_core.registry import lookup as registry
 
 
@@ -94,10 +95,10 @@ def test_human_prints_the_drawing_of_several_agents(capsys: pytest.CaptureFixtur
     assert [line.rpartition(" to ")[2] for line in capsys.readouterr().out.splitlines()] == ["take", "take"]
 
 
-def test_the_mode_is_kept_by_spec_and_spawn(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_mode_is_kept_by_what_is_made_again(capsys: pytest.CaptureFixture[str]) -> None:
     """What is made again shows itself as well."""
     env: Any = gem.make("test:Guess-v3", render_mode="human")
-    for again in (gem.make(env.spec), env.spawn()):
+    for again in (gem.make(env.spec), Recipe.of(env).make()):
         assert again.render_mode == "human"
         again.reset(seed=1)
     assert capsys.readouterr().out == "turn 0\nturn 0\n"

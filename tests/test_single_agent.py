@@ -95,7 +95,7 @@ def test_it_is_registered_as_any_environment() -> None:
     gem.register("joint:Heap-v2", CountdownEnv, seats=("first", "second"))
     gem.register("joint:Heap-v2-solo", "gem_core.rollouts:single_agent", env="joint:Heap-v2", seat="first")
     env: Any = gem.make("joint:Heap-v2-solo", wrappers="concat", seat="second", others=lambda seen: "\\boxed{1}")
-    assert env.reset(seed=1) == env.spawn().reset(seed=1)
+    assert env.reset(seed=1) == env.spec.make().reset(seed=1)
     assert env.unwrapped.seat == "second"
     (episode,) = gem.rollout(env, toys.sampling_agent, episodes=1, seed=0)
     assert episode.id == "joint:Heap-v2-solo"

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Coroutine
 from typing import Any
 
+import gymnasium
 import pytest
 from echo_env import TRACE, AsyncEchoEnv, AsyncNoting, EchoEnv, Noting, ShortCut, ThreadEchoEnv, ThreadNoting
 from gymnasium import wrappers as gym_wrappers
@@ -20,7 +21,8 @@ import gem_core as gem
 from gem_core.background import background_loop
 from gem_core.env.guard import Guard
 from gem_core.env.wrapper import Wrapper, concurrency_of, step_async
-from gem_core.errors import BridgeError, NotSupportedError, ResetNeededError
+from gem_core.errors import ArgumentError, BridgeError, ResetNeededError
+from gem_core.making.again import Recipe
 from gem_core.registry import lookup as registry
 from gem_core.wrappers.episode_stats import EpisodeStats
 from gem_core.wrappers.turn_limit import TurnLimit
@@ -316,26 +318,32 @@ def test_bare_stack_has_no_specification() -> None:
     assert Noting(EchoEnv()).spec is None
 
 
-# State.
+# Another one.
 
 
-def test_wrapper_of_gymnasium_inside_is_forked_but_not_spawned() -> None:
-    """The error of ``spawn`` names the wrapper."""
+class Unrecorded(gymnasium.Wrapper):
+    """Does not record its arguments."""
+
+
+def test_wrapper_of_gymnasium_is_forked_and_made_again() -> None:
+    """One that does not record its arguments is named when another is to be made."""
     env = Noting(gym_wrappers.OrderEnforcing(EchoEnv()))
     env.reset(seed=1)
     assert env.fork().step("x") == env.step("x")
-    with pytest.raises(NotSupportedError, match="OrderEnforcing"):
-        env.spawn()
+    assert str(Recipe.of(env).make()) == str(env)
+    with pytest.raises(ArgumentError, match="Unrecorded"):
+        Recipe.of(Noting(Unrecorded(EchoEnv())))
 
 
 @pytest.mark.parametrize("put", [lambda env: Noting(env, "q"), lambda env: Noting(env=env, mark="q")])
-def test_spawn_makes_the_whole_stack(put: Any) -> None:
-    """A sibling of a stack has its wrappers with their arguments, and overrides reach the task."""
-    env = put(TurnLimit(Guard(EchoEnv()), 4))
-    sibling = env.spawn(turns=2)
-    assert str(sibling) == str(env)
-    assert (sibling.mark, sibling.max_turns, sibling.turns) == ("q", 4, 2)
-    assert sibling.unwrapped is not env.unwrapped
+def test_whole_stack_is_made_again(put: Any) -> None:
+    """Another stack has the wrappers with their arguments; overrides reach the task, given by position or keyword."""
+    for task in EchoEnv(3), EchoEnv(turns=3):
+        env = put(TurnLimit(Guard(task), 4))
+        other: Any = Recipe.of(env).make(turns=2)
+        assert str(other) == str(env)
+        assert (other.mark, other.max_turns, other.turns, env.turns) == ("q", 4, 2, 3)
+        assert other.unwrapped is not env.unwrapped
 
 
 # The guard.

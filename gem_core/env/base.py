@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, SupportsIndex, cast
 import gymnasium
 import numpy as np
 
-from gem_core.arguments import RemembersArguments, check_arguments, merge_arguments
+from gem_core.arguments import RemembersArguments
 from gem_core.background import in_thread, run_sync
 from gem_core.env.seeding import (
     SEED_MAXIMUM,
@@ -235,23 +235,6 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     def env_id(self) -> str | None:
         """The id that it was made by, or None."""
         return None if self.spec is None else self.spec.id
-
-    def spawn(self, **overrides: Any) -> Env:
-        """Return another instance of the same environment, made with the same arguments.
-
-        Args:
-            **overrides: Keyword arguments of the constructor to change.
-
-        Raises:
-            ArgumentError: The constructor does not take an override; the message names what it takes.
-        """
-        args, kwargs = merge_arguments(type(self), self._init_args, overrides)
-        check_arguments(type(self), args, kwargs, f"environment {self.env_id or type(self).__name__!r}")
-        sibling = type(self)(*args, **kwargs)
-        if self.spec is not None:
-            sibling.spec = self.spec.with_kwargs(overrides)
-        sibling.render_mode = self.render_mode
-        return sibling
 
     async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """``reset`` for code that runs in an event loop, without blocking it."""

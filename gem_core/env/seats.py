@@ -201,7 +201,6 @@ class SeatWrappers(MultiAgentEnv):
         super().__init__()
         self.env = env
         check_seats(around, env.possible_agents)
-        self._around = around
         self._seats = {
             seat: WrappedSeat(env, seat, *([around[seat]] if seat in around else [])) for seat in env.possible_agents
         }
@@ -335,10 +334,6 @@ class SeatWrappers(MultiAgentEnv):
                 info["final_obs"] = observation
                 self.terminations[agent], self.truncations[agent] = terminated, truncated
         return observations, rewards, dict(self.terminations), dict(self.truncations), infos
-
-    def spawn(self, **overrides: Any) -> SeatWrappers:
-        """Return another instance, wrappers included; see ``Env.spawn``."""
-        return SeatWrappers(cast("MultiAgentEnv", self.env.spawn(**overrides)), self._around)
 
     def close(self) -> None:
         """Close the wrappers of all seats, then the environment."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Awaitable
-from typing import Any, Self, cast
+from typing import Any, cast
 
 import gymnasium
 
@@ -14,7 +14,7 @@ from gem_core.docs import page_url
 from gem_core.env.base import AsyncEnv, Env, reset_arguments
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.results import refuse_action
-from gem_core.errors import ArgumentError, NotSupportedError
+from gem_core.errors import ArgumentError
 from gem_core.types import Concurrency, ResetResult, StepResult
 
 AnyEnv = gymnasium.Env[Any, str]
@@ -192,14 +192,6 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         """Return a response that solves the task from the present state; see ``Env.gold_action``."""
         return cast("str | None", self.env.get_wrapper_attr("gold_action")())
 
-    def spawn(self, **overrides: Any) -> Self:
-        """Return another instance of the whole stack; see ``Env.spawn``."""
-        args, kwargs = self._init_args
-        inner = _inner(self.env).spawn(**overrides)
-        sibling = type(self)(inner, *args[1:], **kwargs) if args else type(self)(**{**kwargs, "env": inner})
-        sibling.registered_as, sibling.hidden_in_spec = self.registered_as, self.hidden_in_spec
-        return sibling
-
     def __getattr__(self, name: str) -> Any:
         # Only names that the wrapper does not have come here. Private ones are never passed on, so that copying and
         # pickling a half-made wrapper cannot recurse.
@@ -250,12 +242,3 @@ async def step_async(env: AnyEnv, action: str) -> StepResult:
     if concurrency_of(env) == "inline":
         return cast("StepResult", env.step(action))
     return cast("StepResult", await in_thread(env.step, action))
-
-
-def _inner(env: AnyEnv) -> Any:
-    if isinstance(env, Env | Wrapper):
-        return env
-    raise NotSupportedError(
-        f"{type(env).__name__} is a wrapper of Gymnasium's, which cannot spawn; "
-        "put it outermost, or call the method on env.unwrapped"
-    )

@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any, Self, cast
 
 from gem_core.background import on_library_loop, run_sync, run_without_loop, side_by_side
-from gem_core.env.base import Env
 from gem_core.env.joint_checks import check_in_episode, check_seats
 from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv, result_of
 from gem_core.env.results import refuse_action
@@ -28,7 +27,6 @@ from gem_core.rollouts.seating import Seated, seated
 from gem_core.types import Concurrency, Info, ResetResult, Response, StepResult
 
 _MOST_DEALS = 10
-_OWN_ARGUMENTS = ("env", "seat", "others", "max_other_turns")
 
 
 class _OpponentError(Exception):
@@ -79,7 +77,6 @@ class SingleAgentEnv(SeatEnv):
             )
         if type(max_other_turns) is not int or max_other_turns < 1:
             raise ArgumentError(f"max_other_turns must be a positive whole number, not {max_other_turns!r}")
-        self._made_here = isinstance(env, str)
         made: Any = make_from(registry().env(env), kwargs) if isinstance(env, str) else env
         self._loaded: dict[str, Agent] = {}
         try:
@@ -88,7 +85,7 @@ class SingleAgentEnv(SeatEnv):
             super().__init__(made, seat)
             self._players = self._players_of(others)
         except BaseException:
-            if self._made_here:
+            if made is not env:
                 made.close()
             raise
         self._asynchronous = any(is_asynchronous(player) for players in self._players.values() for player in players)
@@ -302,13 +299,6 @@ class SingleAgentEnv(SeatEnv):
         return self.env.sample_random_action(self.seat)
 
     # State and the rest.
-
-    def spawn(self, **overrides: Any) -> Env:
-        """Return another instance; overrides that ``single_agent`` does not know go to the environment inside."""
-        if not self._made_here:
-            inner = {name: overrides.pop(name) for name in list(overrides) if name not in _OWN_ARGUMENTS}
-            overrides["env"] = self.env.spawn(**inner)
-        return super().spawn(**overrides)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         memo[id(self._loaded)] = {}  # a fork asks the same agents, and leaves it to the first one to close them

@@ -1,17 +1,11 @@
-"""Make an environment again from the arguments that it was made with."""
+"""The layers of a stack, and its guard."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any, cast
-
 import gymnasium
 
-from gem_core.env.base import Env
 from gem_core.env.guard import Guard
-from gem_core.env.seats import SeatWrappers
-from gem_core.env.wrapper import AnyEnv, Wrapper
+from gem_core.env.wrapper import AnyEnv
 from gem_core.testing.joint import JointView, is_joint
 
 
@@ -36,46 +30,3 @@ def unchecked(env: AnyEnv) -> AnyEnv:
         if isinstance(layer, Guard):
             layer.checks_results = False
     return env
-
-
-def remaker(env: AnyEnv) -> Callable[[], AnyEnv]:
-    """Return a function that calls all constructors of a stack again, with the original arguments.
-
-    ``spawn`` does the same; it is a promise of its own here, which must not decide the others.
-    """
-    set_by_make: dict[str, Any] = {}
-    if isinstance(env, Wrapper | SeatWrappers):
-        args, kwargs = env._init_args
-        if isinstance(env, Wrapper):
-            set_by_make = {"registered_as": env.registered_as, "hidden_in_spec": env.hidden_in_spec}
-    elif isinstance(env, gymnasium.Wrapper):
-        args, kwargs = (None,), getattr(env, "_saved_kwargs", {})
-    else:
-        args, kwargs = env._init_args if isinstance(env, Env) else ((), {})
-        set_by_make = {"spec": env.spec, "render_mode": env.render_mode}
-        return partial(_remade, type(env), None, args, kwargs, set_by_make)
-    args, kwargs = (None, *args[1:]) if args else (), {name: kwargs[name] for name in kwargs if name != "env"}
-    return partial(_remade, type(env), remaker(env.env), args, kwargs, set_by_make)
-
-
-def _remade(
-    kind: type,
-    remake_inner: Callable[[], AnyEnv] | None,
-    args: tuple[Any, ...],
-    kwargs: dict[str, Any],
-    set_by_make: dict[str, Any],
-) -> AnyEnv:
-    if remake_inner is not None:
-        # The inner environment was given by position or by name.
-        args, kwargs = ((remake_inner(), *args[1:]), kwargs) if args else ((), {**kwargs, "env": remake_inner()})
-    else:  # a task that is made of another, as by single_agent, must not share it
-        args = tuple(map(_remade_env, args))
-        kwargs = {name: _remade_env(value) for name, value in kwargs.items()}
-    env = cast("AnyEnv", kind(*args, **kwargs))
-    for name, value in set_by_make.items():
-        setattr(env, name, value)
-    return env
-
-
-def _remade_env(argument: Any) -> Any:
-    return remaker(argument)() if isinstance(argument, gymnasium.Env) else argument

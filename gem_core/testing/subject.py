@@ -22,6 +22,7 @@ from gem_core.env.base import Env
 from gem_core.env.seeding import stable_hash
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError
+from gem_core.making.again import Recipe
 from gem_core.registry.requirements import check_requirements
 from gem_core.registry.specs import EnvSpec
 from gem_core.testing.comparing import play
@@ -29,7 +30,7 @@ from gem_core.testing.findings import NotTriedError, place_of, shown
 from gem_core.testing.interpreter import CallError, Sender, sent_by
 from gem_core.testing.isolation import ProcessWatch, Watch
 from gem_core.testing.joint import SeenByOne, fitted, is_joint, responses, say, split, step_label
-from gem_core.testing.remaking import guarded, layers_of, remaker
+from gem_core.testing.remaking import guarded, layers_of
 from gem_core.types import Action
 
 PlainResult = dict[str, Any]
@@ -293,7 +294,7 @@ class Subject:
                 self.notes.append(f"checked inside Gymnasium's {type(env).__name__}, which has none of GEM's methods")
                 env = env.env
             names = [type(layer).__name__ for layer in layers_of(env)]
-            return getattr(env, "env_id", None) or " around ".join(names), remaker(env)
+            return getattr(env, "env_id", None) or " around ".join(names), Recipe.of(env).make
         if callable(target):
             return getattr(target, "__name__", repr(target)), target
         raise ArgumentError(f"check_env takes an id, an environment, or a class, not {target!r}")

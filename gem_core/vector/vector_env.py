@@ -26,6 +26,7 @@ from gem_core.errors import (
     EnvFaultError,
     ResetNeededError,
 )
+from gem_core.making.again import Recipe
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.types import TERMINAL_STATE, Action, Info, Observation
 from gem_core.vector.actions import Actions, Received, VectorStep, checked_slot, indices_and_actions, masked_slots
@@ -150,7 +151,7 @@ class VectorEnv(VectorAttributes):
     ) -> VectorEnv:
         """Return a vector environment of one slot that uses a given environment.
 
-        If the environment fails, its ``spawn`` makes the replacement.
+        If the environment fails, another is made with the same arguments.
 
         Args:
             env: Environment that the slot begins with.
@@ -167,7 +168,7 @@ class VectorEnv(VectorAttributes):
                 raise ArgumentError(f"the plan asks for {env_id!r}, and the environment given is {env}")
             if spares and not overrides:
                 return spares.pop()
-            return cast("AnyEnv", env.get_wrapper_attr("spawn")(**overrides))
+            return Recipe.of(env).make(**overrides)
 
         setup = VectorSetup([own_id], [{}], [(own_id, {})], seed=seed, on_error=on_error, factory=factory)
         in_place = ALL_IN_PLACE if plain else ("inline",)

@@ -89,21 +89,12 @@ class PostgresEnv(ToolEnv):
         call_timeout_s: float = 60.0,
         verify_timeout_s: float = 300.0,
     ) -> None:
-        self._arguments = {key: value for key, value in locals().items() if key not in ("self", "__class__")}
         task = PostgresTask(path, tasks, databases, _launcher(mcp_server), verify_timeout_s)
         try:
             super().__init__(task, task.make_tools(call_timeout_s), max_tool_uses=max_tool_uses)
         except BaseException:
             task.close()
             raise
-
-    def spawn(self, **overrides: Any) -> Self:
-        """Return another instance, with other arguments."""
-        sibling = type(self)(**{**self._arguments, **overrides})
-        spec = self.unwrapped.spec
-        if spec is not None:
-            sibling.unwrapped.spec = spec.with_kwargs(overrides)
-        return sibling
 
 
 class PostgresTask(Env):

@@ -12,6 +12,7 @@ from sample_solutions import SOLUTIONS
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, StateNotSupported
+from gem_core.making.again import Recipe
 from gem_core.parsing import extract_code_blocks
 from gem_mcpmark import PostgresError, TaskError
 
@@ -55,7 +56,7 @@ def test_it_is_made_again_from_its_record():
     env = gem.make("mcp:Sample", tasks="lending/missing_fees", max_tool_uses=3)
     again = env.spec.make()
     assert again.unwrapped.num_tasks == 1
-    assert env.spawn(tasks="lending/*").unwrapped.num_tasks == 8
+    assert Recipe.of(env).make(tasks="lending/*").unwrapped.num_tasks == 8
     with pytest.raises(StateNotSupported, match="living database"):
         env.fork()
 

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
 
-from gem_core.env import Env, MultiAgentEnv, Verdict, join_observations
+from gem_core.env import MultiAgentEnv, Verdict, join_observations
 from gem_core.errors import ArgumentError, SamplingNotSupported
 from gem_core.records import to_plain
 from gem_core.types import Info, Observation
@@ -44,7 +44,8 @@ class PettingZooEnv(MultiAgentEnv):
     A fork has a deep copy of PettingZoo's environment.
 
     Args:
-        env: The environment, or a function without arguments that makes it, which ``spawn`` and ``gem.register`` need.
+        env: The environment, or a function without arguments that makes it, which ``rollout`` and ``gem.register``
+            need.
         describe: What an agent is shown; ``(agent, observation, info) -> text``.
         read: Finds the action in a response, or None; ``(agent, response) -> action``. ``describe`` then says how to
             answer, and random actions cannot be sampled.
@@ -80,7 +81,8 @@ class PettingZooEnv(MultiAgentEnv):
         illegal_reward: float = -1.0,
     ) -> None:
         super().__init__()
-        self._can_spawn = callable(env)
+        if not callable(env):
+            self._init_args = (_refuse_second, *self._init_args[0][1:]), self._init_args[1]
         self.pettingzoo_env = env() if callable(env) else env
         if not isinstance(self.pettingzoo_env, AECEnv | ParallelEnv):
             raise ArgumentError(
@@ -164,19 +166,6 @@ class PettingZooEnv(MultiAgentEnv):
         """Close PettingZoo's environment."""
         self.pettingzoo_env.close()
 
-    def spawn(self, **overrides: Any) -> Env:
-        """Return another instance; see ``Env.spawn``.
-
-        Raises:
-            ArgumentError: This was made of an environment, which two cannot share, and not of a function.
-        """
-        if not self._can_spawn and "env" not in overrides:
-            raise ArgumentError(
-                "a sibling needs a PettingZoo environment of its own: give from_pettingzoo a function that makes it, "
-                'as in from_pettingzoo(lambda: pettingzoo.make("aec", "classic/chess_v6"))'
-            )
-        return super().spawn(**overrides)
-
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         # Most of PettingZoo's environments are made with EzPickle, by which a copy is a new one that was never reset.
         originals = [layer for layer in _layers(self.pettingzoo_env) if isinstance(layer, EzPickle)]
@@ -229,6 +218,14 @@ class PettingZooEnv(MultiAgentEnv):
 
     def _written(self, agent: str, action: Any) -> Any:
         return self._texts[agent].write(action) if action is not None and self._texts else to_plain(action)
+
+
+def _refuse_second() -> Any:
+    """Stand for a PettingZoo environment when it is made again: two cannot share it."""
+    raise ArgumentError(
+        "to make another, it needs a PettingZoo environment of its own: give from_pettingzoo a function, "
+        'as in from_pettingzoo(lambda: pettingzoo.make("aec", "classic/chess_v6"))'
+    )
 
 
 from_pettingzoo = PettingZooEnv

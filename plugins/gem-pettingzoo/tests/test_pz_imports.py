@@ -16,6 +16,7 @@ from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
 import gem_core as gem
 from gem_core import MultiAgentEnv
 from gem_core.errors import ArgumentError, SamplingNotSupported
+from gem_core.making.again import Recipe
 from gem_pettingzoo import from_pettingzoo, to_aec, to_parallel
 from gem_pettingzoo.texts import describe_observation
 
@@ -329,9 +330,9 @@ def test_registered_function_makes_each_its_own() -> None:
 
 
 def test_environment_is_not_shared() -> None:
-    """Made of an environment in place of a function, it cannot be spawned; nor is anything else taken for one."""
-    with pytest.raises(ArgumentError, match=r"^a sibling needs a PettingZoo environment of its own: give from_petting"):
-        from_pettingzoo(FadingEnv()).spawn()
+    """Made of an environment in place of a function, it cannot be made again; nor is anything else taken for one."""
+    with pytest.raises(ArgumentError, match="give from_pettingzoo a function"):
+        Recipe.of(from_pettingzoo(FadingEnv())).make()
     with pytest.raises(ArgumentError, match=r"^from_pettingzoo takes an AECEnv or a ParallelEnv, not CountdownEnv"):
         from_pettingzoo(CountdownEnv)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gem_core.env import Env
 from gem_core.errors import ArgumentError
 from gem_core.rollouts import SingleAgentEnv
 from gem_games.textarena.multi_agent import TextArenaMultiAgentEnv
@@ -45,10 +44,6 @@ class TextArenaEnv(SingleAgentEnv):
         by_seat = {env.possible_agents[other]: player for other, player in _by_seat(opponents, others).items()}
         super().__init__(env, env.possible_agents[seat], by_seat)
         self.game, self.table = game, env.table
-
-    def spawn(self, **overrides: Any) -> Env:
-        """Return another instance; see ``Env.spawn``."""
-        return Env.spawn(self, **overrides)
 
 
 def _by_seat(opponents: Any, others: list[int]) -> dict[int, Any]:
