@@ -18,7 +18,6 @@ from gem_eval.turns import (
     figures_of,
     outcome_of,
     parts_of,
-    some_success,
     start_of,
     turn_views,
 )
@@ -90,7 +89,7 @@ def _record(episode: Record) -> dict[str, Any]:
     seats = episodes_of(episode)
     return {
         "id": episode.id,
-        "outcome": outcome_of(some_success(episode), failed=episode.error is not None),
+        "outcome": outcome_of(*(each.success for each in seats), failed=episode.error is not None),
         "return": f"{sum(each.episode_return for each in seats):.4g}",
         "returns": ", ".join(f"{each.seat}={each.agent} {each.episode_return:.4g}" for each in seats if each.seat),
         "count": episode.turns,

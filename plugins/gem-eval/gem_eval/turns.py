@@ -6,11 +6,14 @@ import json
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from gem_core import Episode, JointEpisode, Observation, Transition
 from gem_core.cli import counted
 from gem_core.records import Record
+
+if TYPE_CHECKING:
+    from gem_eval.records import Row
 
 _SHORTEST_REPEAT = 200
 # Shown under names of their own, or (the suffix) as part of the next observation.
@@ -157,9 +160,23 @@ def figures_of(episode: Episode) -> str:
     return f"return {episode.episode_return:g}{first}, {counted(episode.turns, 'turn')}{cut_off}"
 
 
-def outcome_of(success: bool | None, *, failed: bool) -> str:
-    """Return how an episode ended, in one word; ``failed`` stands for an error of the machinery."""
-    return "error" if failed else {True: "success", False: "failure", None: "unscored"}[success]
+def outcome_of(*verdicts: bool | None, failed: bool) -> str:
+    """Return how an episode ended, in one word.
+
+    Args:
+        verdicts: The success of the agent, or of each seat; ``"split"`` if seats differ.
+        failed: Whether the machinery had an error.
+    """
+    if failed:
+        return "error"
+    words = {True: "success", False: "failure", None: "unscored"}
+    return words[verdicts[0]] if len(set(verdicts)) == 1 else "split"
+
+
+def outcome_of_row(row: Row) -> str:
+    """Return the outcome of an episode by its row; see ``outcome_of``."""
+    seats = [own.success for own in (row.seats or {}).values()] or [row.success]
+    return outcome_of(*seats, failed=row.error is not None)
 
 
 def error_text(error: Mapping[str, Any] | None) -> str:

@@ -40,8 +40,8 @@ def test_list_names_the_agents_with_their_returns(show) -> None:
     _, out, _ = show()
     assert [" ".join(line.split()) for line in out.splitlines()] == [
         "number environment outcome return turns seed group agents and returns error",
-        "1 duel:Words-v0 success 3 4 g2 white=openai:tiny 0.5, black=random 0.5",
-        "2 duel:Words-v0 success 3 7 g2 white=openai:tiny 0.5, black=random 0.5",
+        "1 duel:Words-v0 split 3 4 g2 white=openai:tiny 0.5, black=random 0.5",
+        "2 duel:Words-v0 split 3 7 g2 white=openai:tiny 0.5, black=random 0.5",
         "3 maze:Room-v0 failure 0.25 2 7 g1",
         "4 duel:Words-v0 error 1 5 white=openai:tiny 0.5, black=random 2 agent: no route",
     ]

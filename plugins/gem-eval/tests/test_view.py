@@ -121,7 +121,7 @@ def test_several_runs_stand_in_one_table(client: TestClient) -> None:
     answer = client.get("/api/rows?sort=number&reverse=1&count=1&at=second.jsonl/3").json()
     assert (answer["total"], answer["at"], len(answer["rows"])) == (8, 3, 1)
     assert answer["summary"]["errors"] == 1
-    assert ["success", 4] in answer["choices"]["outcomes"]
+    assert answer["choices"]["outcomes"][:3] == [["success", 3], ["failure", 2], ["split", 1]]
 
 
 @pytest.mark.parametrize("parameters", ["return=much", "start=-1", "run=third", "start=9999999999999999999"])

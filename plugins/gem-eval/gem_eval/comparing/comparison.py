@@ -313,7 +313,7 @@ def _difference(name: str, pairs: Pairs, *, verdicts: bool, scored: bool) -> Dif
         test, p = "mcnemar", mcnemar(only_a or 0, only_b or 0)
     else:
         test, p = "permutation", permutation_test(apart)
-    more = more_rows_needed(apart)
+    more = more_rows_needed(apart, p)
     epochs = math.fsum(len(values) for values in (*a, *b)) / (2 * len(pairs))
     return Difference(
         name,

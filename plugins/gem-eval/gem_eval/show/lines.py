@@ -20,6 +20,7 @@ from gem_eval.turns import (
     error_text,
     figures_of,
     outcome_of,
+    outcome_of_row,
     parts_of,
     start_of,
     turn_views,
@@ -33,7 +34,7 @@ _COLUMNS: dict[str, tuple[int, Callable[[Row], object]]] = {
     "number": (8, lambda row: row.number),
     "environment": (60, lambda row: row.id),
     "model": (40, lambda row: "" if row.seats else row.model),
-    "outcome": (8, lambda row: outcome_of(row.success, failed=row.error is not None)),
+    "outcome": (8, outcome_of_row),
     "return": (10, lambda row: "" if len(row.seats or ()) > 1 else f"{row.episode_return:.4g}"),
     "turns": (6, lambda row: row.turns),
     "cut off": (12, lambda row: row.cut_off or ""),
@@ -49,7 +50,7 @@ _DISPENSABLE = ("group", "seed", "turns", "cut off", "return", "model")
 _ROWS_AHEAD = 200
 _LONGEST_VALUE = 300
 
-_OUTCOME_COLOURS = {"success": "green", "failure": "red", "unscored": "white", "error": "yellow"}
+_OUTCOME_COLOURS = {"success": "green", "failure": "red", "unscored": "white", "split": "white", "error": "yellow"}
 
 
 def list_lines(episodes: Iterable[Row], width: int | None = None) -> Iterator[str]:

@@ -17,8 +17,9 @@ from starlette.routing import Route
 from gem_core.errors import ArgumentError, EpisodeFileError, GemError
 from gem_eval.episode_data import episode_data, png_of, text_at
 from gem_eval.show.text import escaped
+from gem_eval.turns import outcome_of_row
 from gem_eval.viewing.search import search
-from gem_eval.viewing.table import NUMBERS, Query, Table, outcome_of_row, row_data
+from gem_eval.viewing.table import NUMBERS, Query, Table, row_data
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from gem_core.records import to_plain
 from gem_eval.filters import Comparison, parse_comparison
 from gem_eval.show.text import escaped
-from gem_eval.turns import outcome_of
+from gem_eval.turns import outcome_of_row
 
 if TYPE_CHECKING:
     from gem_eval.records import Row
@@ -25,14 +25,12 @@ class Place(NamedTuple):
     row: Row
 
 
-def outcome_of_row(row: Row) -> str:
-    """Return how an episode ended: success, failure, unscored or error."""
-    return outcome_of(row.success, failed=row.error is not None)
-
-
 def reason_of_row(row: Row) -> str:
-    """Return why an episode ended as it did: the cause of an error, what cut it off, or that it was unreadable."""
-    return row.cause or row.cut_off or ("unreadable" if row.unreadable else "")
+    """Return why an episode has its outcome: the cause of an error, a cut-off, an unreadable end, who succeeded."""
+    reason = row.cause or row.cut_off or ("unreadable" if row.unreadable else "")
+    if not reason and outcome_of_row(row) == "split":
+        return f"success: {', '.join(seat for seat, own in (row.seats or {}).items() if own.success) or '-'}"
+    return reason
 
 
 def _tokens(row: Row) -> int | None:
@@ -40,9 +38,10 @@ def _tokens(row: Row) -> int | None:
 
 
 OUTCOMES: dict[str, Callable[[Row], bool]] = {
-    "success": lambda row: row.error is None and row.success is True,
-    "failure": lambda row: row.error is None and row.success is False,
-    "unscored": lambda row: row.error is None and row.success is None,
+    "success": lambda row: outcome_of_row(row) == "success",
+    "failure": lambda row: outcome_of_row(row) == "failure",
+    "split": lambda row: outcome_of_row(row) == "split",
+    "unscored": lambda row: outcome_of_row(row) == "unscored",
     "error": lambda row: row.error is not None,
     "cut off": lambda row: row.cut_off is not None,
     "unreadable": lambda row: row.unreadable,
