@@ -237,7 +237,7 @@ def test_a_failing_opponent_is_an_error_and_no_loss(kind: Any, error: Any, messa
     told = info["error"]["kind"], info["error"]["message"]
     assert told == ("opponent", f"the agent at 'a' failed: {message}")
     assert (observation, reward, terminated, truncated) == ("You are b. Bids: 5 3", -2.0, False, True)
-    with pytest.raises(ResetNeededError, match=r"^AuctionEnv: the episode is over or has not begun; call reset"):
+    with pytest.raises(ResetNeededError):
         env.step("1")
     assert env.reset(seed=0)[0] == "You are b. Bids: 5"
 

@@ -17,9 +17,9 @@ from typing import cast
 from gem_core.agents.answer_form import AnswerForm
 from gem_core.cli.layout import counted
 from gem_core.env.base import Env
-from gem_core.env.observations import split_observation
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, EnvFaultError, SamplingNotSupported
+from gem_core.records.conversation import split_observation
 from gem_core.records.episode import Episode, Transition
 from gem_core.records.files import EpisodeWriter
 from gem_core.records.plain_json import ImageFolder

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from gem_core.env.agent_selector import AgentSelector
 from gem_core.env.base import AsyncEnv, Env
+from gem_core.env.checks import Verdict, checked_reset, checked_result
 from gem_core.env.guard import Guard
-from gem_core.env.joint_checks import Verdict
 from gem_core.env.multi_agent import MultiAgentEnv
-from gem_core.env.observations import is_messages, join_observations, observation_from, split_observation, texts_of
-from gem_core.env.results import checked_reset, checked_result
+from gem_core.env.observations import is_messages, join_observations, observation_from, texts_of
 from gem_core.env.seats import SeatWrappers
 from gem_core.env.seeding import stable_hash
 from gem_core.env.spaces import Content, Messages, Text
@@ -34,7 +33,6 @@ __all__ = [
     "join_observations",
     "observation_from",
     "reset_async",
-    "split_observation",
     "stable_hash",
     "step_async",
     "texts_of",

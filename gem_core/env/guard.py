@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
-from gem_core.env.results import checked_reset, checked_result, refuse_action
-from gem_core.env.wrapper import Wrapper
-from gem_core.errors import ResetNeededError
+from gem_core.env.checks import checked_reset, checked_result, refuse_action, reset_needed
+from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.types import ResetResult, StepResult
 
 
@@ -18,13 +16,23 @@ class Guard(Wrapper):
     checks_results = True
     """Whether malformed results are refused; ``check_env`` turns it off and checks them itself."""
     _live = False
-    _plain_only = False  # its step is its two hooks, without the way through coroutines
+    _plain_only = False  # its step is its two hooks in one function, since every step of every task passes it
+
+    def __init__(self, env: AnyEnv) -> None:
+        super().__init__(env)
+        self._whose = f"{type(self.unwrapped).__name__}: "
 
     def step(self, action: str) -> StepResult:
         """Step, if the episode is under way."""
+        if not self._live:
+            raise reset_needed(self)
         if not isinstance(action, str):
             refuse_action(action)
-        return self.after_step(action, cast("StepResult", self.env.step(self.before_step(action))))
+        result: Any = self.env.step(action)
+        if self.checks_results:
+            result = checked_result(result, self._whose)
+        self._live = not (result[2] or result[3])
+        return result  # type: ignore[no-any-return]
 
     def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
         """Refuse steps until the reset has succeeded."""
@@ -32,7 +40,8 @@ class Guard(Wrapper):
 
     def after_reset(self, result: ResetResult) -> ResetResult:
         """Refuse a malformed result, and write the episode's seed to ``info``."""
-        result = self._checked(checked_reset, result)
+        if self.checks_results:
+            result = checked_reset(result, self._whose)
         result[1]["seed"] = self.env.np_random_seed
         self._live = True
         return result
@@ -45,20 +54,7 @@ class Guard(Wrapper):
 
     def after_step(self, action: str, result: StepResult) -> StepResult:
         """Refuse a malformed result, and record the end of the episode."""
-        result = self._checked(checked_result, result)
+        if self.checks_results:
+            result = checked_result(result, self._whose)
         self._live = not (result[2] or result[3])
         return result
-
-    def _checked(self, check: Callable[[object], Any], result: Any) -> Any:
-        if not self.checks_results:
-            return result
-        try:
-            return check(result)
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"{type(self.unwrapped).__name__}: {error}") from None
-
-
-def reset_needed(env: Wrapper) -> ResetNeededError:
-    """Return the error of a step outside an episode."""
-    name = env.env_id or type(env.unwrapped).__name__
-    return ResetNeededError(f"{name}: the episode is over or has not begun; call reset() before the next step()")

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from gem_core.env.agent_selector import AgentSelector
 from gem_core.env.base import Env
-from gem_core.env.joint_checks import (
+from gem_core.env.checks import (
     Verdict,
     check_actions,
-    check_in_episode,
     checked_beginning,
     checked_observation,
     checked_verdict,
     named,
+    reset_needed,
 )
 from gem_core.env.spaces import Text
 from gem_core.errors import ArgumentError, SamplingNotSupported
@@ -233,7 +233,7 @@ class MultiAgentEnv(Env):
             ResetNeededError: The episode is over or has not begun.
         """
         name, turns = self.env_id or type(self).__name__, self.__turns
-        check_actions(name, self.acting, actions)
+        check_actions(self, actions)
         result = self.process_actions(dict(actions))
         rewards, terminations, truncations, told = checked_verdict(name, self.agents, result)
         turns.steps += 1
@@ -254,7 +254,8 @@ class MultiAgentEnv(Env):
         Raises:
             ResetNeededError: The episode is over or has not begun.
         """
-        check_in_episode(self.env_id or type(self).__name__, bool(self.acting))
+        if not self.acting:
+            raise reset_needed(self)
         return self.__go_on({}, self.__take_out({}, {}, cut_off=True))
 
     @property

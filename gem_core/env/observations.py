@@ -25,14 +25,6 @@ def as_parts(observation: Observation) -> list[dict[str, Any]]:
     return list(observation)
 
 
-def split_observation(observation: Observation, info: dict[str, Any]) -> tuple[Observation, Observation]:
-    """Return feedback and suffix of an observation; without both keys in ``info`` all of it is feedback."""
-    feedback, suffix = info.get("feedback"), info.get("suffix")
-    if isinstance(feedback, str | list) and isinstance(suffix, str | list):
-        return feedback, suffix
-    return observation, ""
-
-
 def join_observations(pieces: Sequence[Observation], suffix: Observation = "") -> Observation:
     """Join outputs and actions, each beginning on a line of its own; parts once there is one list of parts.
 

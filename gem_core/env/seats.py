@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from gem_core.background import in_thread, run_without_loop, side_by_side
 from gem_core.env.base import Env
-from gem_core.env.joint_checks import check_actions, check_in_episode, check_seats
+from gem_core.env.checks import check_actions, check_seats, reset_needed
 from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv, result_of
 from gem_core.env.wrapper import AnyEnv, Wrapper, concurrency_of, most_demanding, reset_async, step_async
 from gem_core.errors import ArgumentError
@@ -107,19 +107,19 @@ class WrappedSeat(SeatEnv):
         """Prepare the wrappers for an episode."""
         self.held, self.added, self._given = None, 0.0, None
         for layer in self._layers:
-            await layer.run_hook_async("before_reset", seed, options)
+            await layer.run_hook("before_reset", seed, options)
 
     async def begin(self, result: ResetResult) -> ResetResult:
         """Return the seat's first observation and info, as the wrappers pass them on."""
         for layer in reversed(self._layers):
-            result = await layer.run_hook_async("after_reset", result)
+            result = await layer.run_hook("after_reset", result)
         return result
 
     async def hand_in(self, action: str) -> StepResult | None:
         """Hold a response for the task; return the result of a wrapper that answers it itself, as a tool does."""
         given: list[str] = []
         for layer in self._layers:
-            outcome = await layer.run_hook_async("before_step", action)
+            outcome = await layer.run_hook("before_step", action)
             if isinstance(outcome, tuple):
                 return await self._pass_on(given, outcome, 0.0)
             given.append(action)
@@ -143,7 +143,7 @@ class WrappedSeat(SeatEnv):
 
     async def _pass_on(self, given: list[str], result: StepResult, paid: float) -> StepResult:
         for layer, action in reversed(list(zip(self._layers, given, strict=False))):
-            result = await layer.run_hook_async("after_step", action, result)
+            result = await layer.run_hook("after_step", action, result)
         self.added += result[1] - paid
         return result
 
@@ -279,7 +279,7 @@ class SeatWrappers(MultiAgentEnv):
 
     async def step_async(self, actions: Mapping[str, str]) -> JointStepResult:  # type: ignore[override]
         """``step`` for code that runs in an event loop; the wrappers of several seats work side by side."""
-        check_actions(self.env_id or type(self.unwrapped).__name__, self.acting, actions)
+        check_actions(self, actions)
         answers = await side_by_side({agent: self._seats[agent].hand_in(action) for agent, action in actions.items()})
         results = {agent: result for agent, result in answers.items() if result is not None}
         if not results:
@@ -301,7 +301,8 @@ class SeatWrappers(MultiAgentEnv):
 
     def truncate_all(self) -> JointStepResult:
         """End the episode from outside; see ``MultiAgentEnv.truncate_all``."""
-        check_in_episode(self.env_id or type(self.unwrapped).__name__, bool(self.acting))
+        if not self.acting:
+            raise reset_needed(self)
         return self._joined(run_without_loop(self._truncated({})))
 
     async def _truncated(self, results: Mapping[str, StepResult]) -> dict[str, StepResult]:

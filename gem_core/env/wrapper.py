@@ -12,8 +12,8 @@ from gem_core.arguments import RemembersArguments, signature_of
 from gem_core.background import in_thread, on_library_loop, run_sync
 from gem_core.docs import page_url
 from gem_core.env.base import AsyncEnv, Env, reset_arguments
+from gem_core.env.checks import refuse_action
 from gem_core.env.multi_agent import MultiAgentEnv
-from gem_core.env.results import refuse_action
 from gem_core.errors import ArgumentError
 from gem_core.types import Concurrency, ResetResult, StepResult
 
@@ -21,13 +21,6 @@ AnyEnv = gymnasium.Env[Any, str]
 """An ``Env``, a ``Wrapper``, or a wrapper of Gymnasium's around either."""
 
 _RANK: dict[Concurrency, int] = {"inline": 0, "thread": 1, "async": 2, "process": 3}
-_RETURNED_BY: dict[str, Any] = {
-    "before_reset": type(None),
-    "after_reset": tuple,
-    "before_step": (str, tuple),
-    "after_step": tuple,
-}
-"""What each hook returns, unless that has to be awaited."""
 
 
 class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
@@ -89,8 +82,11 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin an episode; see ``Env.reset``."""
-        self.run_hook("before_reset", seed, options)
-        return cast("ResetResult", self.run_hook("after_reset", self.env.reset(**reset_arguments(seed, options))))
+        before = self.before_reset(seed, options)
+        if before is not None:
+            run_sync(self._coroutine("before_reset", before))
+        after = self.after_reset(self.env.reset(**reset_arguments(seed, options)))
+        return after if isinstance(after, tuple) else run_sync(self._coroutine("after_reset", after))
 
     def step(self, action: str) -> StepResult:
         """Answer one response of the agent; see ``Env.step``."""
@@ -98,18 +94,18 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
             refuse_action(action)
         before = self.before_step(action)
         if not isinstance(before, str | tuple):
-            before = run_sync(self._awaitable(before, "before_step"))
+            before = run_sync(self._coroutine("before_step", before))
         if isinstance(before, tuple):
             return before
         after = self.after_step(action, cast("StepResult", self.env.step(before)))
-        return after if isinstance(after, tuple) else run_sync(self._awaitable(after, "after_step"))
+        return after if isinstance(after, tuple) else run_sync(self._coroutine("after_step", after))
 
     async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """``reset`` for code that runs in an event loop, without blocking it."""
         if self._plain_only:
             return await in_thread(lambda: self.reset(**reset_arguments(seed, options)))
-        await self.run_hook_async("before_reset", seed, options)
-        return cast("ResetResult", await self.run_hook_async("after_reset", await reset_async(self.env, seed, options)))
+        await self.run_hook("before_reset", seed, options)
+        return cast("ResetResult", await self.run_hook("after_reset", await reset_async(self.env, seed, options)))
 
     async def step_async(self, action: str) -> StepResult:
         """``step`` for code that runs in an event loop, without blocking it."""
@@ -118,29 +114,26 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
             return await in_thread(self.step, action)
         if not isinstance(action, str):
             refuse_action(action)
-        before = await self.run_hook_async("before_step", action)
+        before = await self.run_hook("before_step", action)
         if isinstance(before, tuple):
             return before
-        return cast("StepResult", await self.run_hook_async("after_step", action, await step_async(self.env, before)))
+        return cast("StepResult", await self.run_hook("after_step", action, await step_async(self.env, before)))
 
-    def run_hook(self, name: str, *args: Any) -> Any:
-        """Return what a hook returns, a coroutine's result included, for which plain code waits.
+    async def run_hook(self, name: str, *args: Any) -> Any:
+        """Return what a hook returns, a coroutine's result included, without blocking the event loop.
 
         Args:
             name: Of the hook, as ``"before_step"``.
             *args: What it takes.
         """
-        value = getattr(self, name)(*args)
-        return value if isinstance(value, _RETURNED_BY[name]) else run_sync(self._awaitable(value, name))
-
-    async def run_hook_async(self, name: str, *args: Any) -> Any:
-        """``run_hook`` for code that runs in an event loop, without blocking it."""
         hook = getattr(self, name)
         in_place = self.needs in ("inline", "async") or inspect.iscoroutinefunction(hook)
         value = hook(*args) if in_place else await in_thread(hook, *args)
-        return value if isinstance(value, _RETURNED_BY[name]) else await on_library_loop(self._awaitable(value, name))
+        if isinstance(value, str | tuple) or (value is None and name == "before_reset"):
+            return value
+        return await on_library_loop(self._coroutine(name, value))
 
-    def _awaitable(self, value: Any, hook: str) -> Awaitable[Any]:
+    def _coroutine(self, hook: str, value: Any) -> Awaitable[Any]:
         if inspect.isawaitable(value):
             return value
         raise TypeError(

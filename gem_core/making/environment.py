@@ -14,8 +14,8 @@ from gymnasium.envs.registration import WrapperSpec as GymnasiumWrapperSpec
 
 from gem_core.arguments import check_arguments, takes_keyword
 from gem_core.env.base import Env
+from gem_core.env.checks import check_seats
 from gem_core.env.guard import Guard
-from gem_core.env.joint_checks import check_seats
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.seats import SeatWrappers
 from gem_core.env.wrapper import AnyEnv, Wrapper

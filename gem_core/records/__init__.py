@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gem_core.parsing import without_thinking
-from gem_core.records.conversation import History, Turn
+from gem_core.records.conversation import History, Turn, split_observation
 from gem_core.records.episode import Episode, Transition, return_range_of
 from gem_core.records.files import (
     EpisodeFileWarning,
@@ -51,6 +51,7 @@ __all__ = [
     "record_from_dict",
     "return_range_of",
     "shared_range",
+    "split_observation",
     "standard_error",
     "to_plain",
     "wilson",

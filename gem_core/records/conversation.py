@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import Any, Protocol, Self
 
-from gem_core.env.observations import is_messages, join_observations, observation_from, split_observation
+from gem_core.env.observations import is_messages, join_observations, observation_from
 from gem_core.records.plain_json import to_plain
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
 
@@ -38,8 +38,9 @@ class Turn:
     @classmethod
     def of(cls, action: str, observation: Observation, info: Info) -> Self:
         """Return the turn of a response, and of what ``step`` returned for it."""
-        feedback, suffix = split_observation(observation, info)
-        messages = info.get("messages")
+        feedback, suffix, messages = info.get("feedback"), info.get("suffix"), info.get("messages")
+        if not isinstance(feedback, str | list) or not isinstance(suffix, str | list):
+            feedback, suffix = observation, ""
         if not isinstance(messages, list) or not all(isinstance(message, Mapping) for message in messages):
             messages = None
         # A plain str: what the server reported about a response is kept by the rollout, not by the history.
@@ -59,41 +60,42 @@ class Turn:
         return [{"role": "user", "content": observation_from(self.feedback, self.suffix)}]
 
 
+def split_observation(observation: Observation, info: Info) -> tuple[Observation, Observation]:
+    """Return feedback and suffix of an observation; without both keys in ``info`` all of it is feedback."""
+    turn = Turn.of("", observation, info)
+    return turn.feedback, turn.suffix
+
+
 @dataclass
 class History:
     """The task and the turns of an episode, and the forms in which they are shown.
 
     Args:
-        task: The first observation.
-        suffix: How things stood then.
+        task: What the reset gave, as a turn without an action.
         system: Text of the system message; None without one.
         turns: Oldest first; a view may leave out the oldest.
     """
 
-    task: Observation
-    suffix: Observation = ""
+    task: Turn
     system: str | None = None
     turns: list[Turn] = field(default_factory=list)
 
-    @property
-    def present(self) -> Observation:
-        """How things stand now."""
-        return self.turns[-1].suffix if self.turns else self.suffix
-
     def latest(self) -> Observation:
         """Return the newest output, and how things stand now."""
-        return observation_from(self.turns[-1].feedback if self.turns else self.task, self.present)
+        newest = (self.turns or [self.task])[-1]
+        return observation_from(newest.feedback, newest.suffix)
 
     def outputs(self) -> Observation:
         """Return all outputs, and how things stand now once, at the end."""
-        return join_observations([self.task, *map(attrgetter("feedback"), self.turns)], self.present)
+        turns = [self.task, *self.turns]
+        return join_observations(list(map(attrgetter("feedback"), turns)), turns[-1].suffix)
 
     def text(self) -> Observation:
         """Return all outputs and actions, and how things stand now once, at the end."""
-        pieces = [self.task]
+        pieces = [self.task.feedback]
         for turn in self.turns:
             pieces += [turn.action, *map(_call_as_text, turn.tool_calls or ()), turn.feedback]
-        return join_observations(pieces, self.present)
+        return join_observations(pieces, (self.turns or [self.task])[-1].suffix)
 
     def messages(self) -> list[ChatMessage]:
         """Return the chat; the list and its messages are the caller's own.
@@ -101,9 +103,9 @@ class History:
         It is append-only: each answer of the environment keeps its suffix. Where the environment, or a wrapper that is
         no view of ours, keeps the chat itself, its newest list is taken.
         """
-        chat: list[Any] = [{"role": "user", "content": observation_from(self.task, self.suffix)}]
-        if is_messages(self.task):
-            chat = list(self.task)
+        chat: list[Any] = replace(self.task, messages=None).answers()
+        if is_messages(self.task.feedback):
+            chat = list(self.task.feedback)
         for turn in self.turns:
             if is_messages(turn.feedback):
                 chat = list(turn.feedback)
@@ -152,8 +154,7 @@ class Conversation:
         self._viewed = "view" in episode.info or episode.reads is None
         self._instructions = self._in_both_wordings()
         self.system = self._system()
-        first = self._turn("", episode.observation, episode.info)
-        self._history = History(first.feedback, first.suffix, self.system)
+        self._history = History(self._turn("", episode.observation, episode.info), self.system)
 
     def sent(self) -> Observation:
         """Return what the agent is sent now, according to ``reads`` of the episode."""

@@ -9,9 +9,8 @@ from functools import partial
 from typing import Any, Self, cast
 
 from gem_core.background import on_library_loop, run_sync, run_without_loop, side_by_side
-from gem_core.env.joint_checks import check_in_episode, check_seats
+from gem_core.env.checks import check_seats, refuse_action, reset_needed
 from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv, result_of
-from gem_core.env.results import refuse_action
 from gem_core.env.seats import SeatEnv, reads_from_env, step_joint, truncate_joint
 from gem_core.env.seeding import stable_hash
 from gem_core.env.wrapper import concurrency_of, most_demanding, reset_async
@@ -158,7 +157,8 @@ class SingleAgentEnv(SeatEnv):
         raise EnvFaultError(f"{self._name}: {_MOST_DEALS} games in a row were over before {self.seat!r} acted")
 
     async def _step(self, action: str) -> StepResult:
-        check_in_episode(self._name, self._live)
+        if not self._live:
+            raise reset_needed(self)
         if not isinstance(action, str):
             refuse_action(action)
         try:

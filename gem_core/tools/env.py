@@ -9,10 +9,11 @@ from typing import Any
 import gymnasium
 import pydantic
 
-from gem_core.env.guard import reset_needed
-from gem_core.env.observations import join_observations, observation_from, split_observation
+from gem_core.env.checks import reset_needed
+from gem_core.env.observations import join_observations, observation_from
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError
+from gem_core.records.conversation import split_observation
 from gem_core.tools.calls import CallReader, native_calls
 from gem_core.tools.selection import ToolChoice, ToolChoices, tool_choices, tools_by_name
 from gem_core.tools.sessions import ToolSessions

@@ -12,9 +12,9 @@ from typing import Any, cast
 
 from gem_core.closing import close_all
 from gem_core.env.base import Env
+from gem_core.env.checks import checked_reset, checked_result
 from gem_core.env.guard import Guard
 from gem_core.env.multi_agent import MultiAgentEnv
-from gem_core.env.results import checked_reset, checked_result
 from gem_core.env.seeding import checked_seed, stable_hash
 from gem_core.env.wrapper import AnyEnv, concurrency_of, reset_async, step_async
 from gem_core.errors import ArgumentError

@@ -32,9 +32,7 @@ class MessagesView(ObservationView):
         """Lists of messages."""
         return Messages()
 
-    def show(self, history: History) -> Observation:
-        """Return the messages."""
-        return history.messages()
+    show = staticmethod(History.messages)
 
 
 class ConcatChat(ObservationView):
@@ -64,7 +62,7 @@ class ConcatChat(ObservationView):
         super().__init__(env, **options)
         self._text = ""
 
-    def show(self, history: History) -> Observation:
+    def show(self, history: History, /) -> Observation:
         """Return the text of the chat."""
         if not self.append_only or not history.turns or any(turn.tool_calls for turn in history.turns):
             self._text = self._render(history.messages())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from gem_core.env.guard import reset_needed
+from gem_core.env.checks import reset_needed
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from gem_core.env.observations import split_observation, texts_of
+from gem_core.env.observations import texts_of
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError
 from gem_core.parsing import without_thinking
@@ -53,14 +53,14 @@ class ObservationView(Wrapper):
         self.drop_thinking = drop_thinking
         self.max_tokens = max_tokens
         self.count_tokens = count_tokens
-        self._history = History("")
+        self._history = History(Turn("", ""))
 
     @property
     def append_only(self) -> bool:
         """Whether the next observation always is the previous one, the raw response, and more."""
         return self.can_append_only and self.max_turns is None and self.max_tokens is None and not self.drop_thinking
 
-    def show(self, history: History) -> Observation:
+    def show(self, history: History, /) -> Observation:
         """Return the observation.
 
         Args:
@@ -71,10 +71,10 @@ class ObservationView(Wrapper):
     def after_reset(self, result: ResetResult) -> ResetResult:
         """Begin a new history."""
         observation, info = result
-        task, suffix = split_observation(observation, info)
-        info["feedback"], info["suffix"] = task, suffix  # since the view may show something else
+        task = Turn.of("", observation, info)
+        info["feedback"], info["suffix"] = task.feedback, task.suffix  # since the view may show something else
         info["view"] = self.registered_as[0] if self.registered_as else type(self).__name__
-        self._history = History(task, suffix, info.get("system"))
+        self._history = History(task, info.get("system"))
         shown = self.show(self._history)
         if self.max_tokens is not None and self._length(shown) > self.max_tokens:
             raise ArgumentError(
@@ -109,17 +109,13 @@ class ObservationView(Wrapper):
 class Latest(ObservationView):
     """Shows only the newest output, and how things stand now."""
 
-    def show(self, history: History) -> Observation:
-        """Return the newest feedback and the suffix."""
-        return history.latest()
+    show = staticmethod(History.latest)
 
 
 class Concat(ObservationView):
     """Shows all outputs so far, and how things stand now once, at the end."""
 
-    def show(self, history: History) -> Observation:
-        """Return the feedback of every turn and the suffix."""
-        return history.outputs()
+    show = staticmethod(History.outputs)
 
 
 class ConcatWithAction(ObservationView):
@@ -128,6 +124,4 @@ class ConcatWithAction(ObservationView):
     A native tool call is shown as the text that would call the tool.
     """
 
-    def show(self, history: History) -> Observation:
-        """Return action and feedback of every turn, and the suffix."""
-        return history.text()
+    show = staticmethod(History.text)

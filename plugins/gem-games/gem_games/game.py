@@ -119,7 +119,7 @@ class Game(Env):
         """Return what the first observation depends on, where that is so little that it is worth keeping; else None."""
         return None
 
-    def _read(self, answer: str) -> Any:
+    def _read(self, answer: str, /) -> Any:
         """Return the content of a box in the form that ``_play`` takes; None if it has not the form of an answer."""
         return answer or None
 

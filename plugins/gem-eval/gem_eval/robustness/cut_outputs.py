@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from gem_core.env import AnyEnv, observation_from, split_observation
+from gem_core.env import AnyEnv, observation_from
+from gem_core.records import split_observation
 from gem_core.tools import ToolResult, find_tool_env
 from gem_core.types import TERMINAL_STATE, Observation, StepResult
 from gem_eval.robustness.changed_tool import ChangedTool

@@ -6,8 +6,9 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from gem_core.env import AnyEnv, is_messages, observation_from, split_observation
+from gem_core.env import AnyEnv, is_messages, observation_from
 from gem_core.errors import ArgumentError
+from gem_core.records import split_observation
 from gem_core.registry import load_entry_point
 from gem_core.types import Observation, ResetResult
 from gem_eval.robustness.perturbation import Perturbation
