@@ -15,7 +15,6 @@ LAYERS = [
         "failures",
         "types",
         "parsing",
-        "judging",
         "suggestions",
         "progress",
         "arguments",

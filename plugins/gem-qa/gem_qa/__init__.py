@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gem_qa.env import QAEnv
-    from gem_qa.judging import ModelJudge
 
-__all__ = ["ModelJudge", "QAEnv"]
+__all__ = ["QAEnv"]
 
 
 def __getattr__(name: str) -> Any:
@@ -17,10 +16,6 @@ def __getattr__(name: str) -> Any:
         from gem_qa.env import QAEnv
 
         return QAEnv
-    if name == "ModelJudge":
-        from gem_qa.judging import ModelJudge
-
-        return ModelJudge
     raise AttributeError(f"module 'gem_qa' has no attribute {name!r}")
 
 

@@ -9,7 +9,7 @@ from gem_core.data import DatasetEnv, DatasetOptions, Grade, Row, RowSource
 from gem_core.errors import ArgumentError
 from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer, without_thinking
 from gem_qa.answers import accepted_answers, scores, unwrapped
-from gem_qa.judging import Judge, find_judge, verdict_of
+from gem_qa.judging import MODEL_PREFIX, Judge, find_judge, verdict_of
 
 TAGGED = "{question}\n\nGive the answer alone, in as few words as it takes, between <answer> and </answer>."
 BOXED = "{question}\n\nGive the answer alone, in as few words as it takes, inside \\boxed{}."
@@ -36,7 +36,7 @@ class QAEnv(DatasetEnv):
             or ``"package.module:function"``; or ``"openai:MODEL"`` for a model behind an OpenAI-compatible server. A
             judge that fails ends the episode as an error, never as a reward of 0.
         judge_url: Address of that server; by default ``OPENAI_BASE_URL``, or else OpenAI's own.
-        judge_options: More for it, as ``{"api_key_env": "JUDGE_KEY"}``; see ``gem_qa.judging.ModelJudge``.
+        judge_options: More for it, as ``{"api_key_env": "JUDGE_KEY"}``; see ``gem info openai``.
         judge_timeout_s: Seconds that a function may take to judge; what takes longer is an error too. None for no
             limit. A model has a limit of its own, ``timeout_s`` among its options.
         **options: See ``DatasetEnv``. The column of the answer holds a text, or a list of accepted ones.
@@ -67,7 +67,8 @@ class QAEnv(DatasetEnv):
         is_number = isinstance(judge_timeout_s, int | float) and not isinstance(judge_timeout_s, bool)
         if judge_timeout_s is not None and not (is_number and judge_timeout_s > 0):
             raise ArgumentError(f"judge_timeout_s must be seconds above 0, or None, not {judge_timeout_s!r}")
-        self.judge_timeout_s = judge_timeout_s
+        is_model = isinstance(judge, str) and judge.startswith(MODEL_PREFIX)
+        self.judge_timeout_s = None if is_model else judge_timeout_s
         self._judge = find_judge(judge, judge_url, judge_options)
         if self._judge is not None:
             vars(self)["concurrency"] = "thread"  # it waits for somebody

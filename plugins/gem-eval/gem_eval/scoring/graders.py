@@ -20,7 +20,7 @@ from gem_core.registry import load_entry_point
 from gem_core.rollouts import Agent, close_agent, current_folder_importable, load_agent, prepare_agent
 from gem_eval.replaying.recorded import differences
 from gem_eval.replaying.replay import repeat_all
-from gem_eval.scoring.judge import RUBRIC, SYSTEM, ModelJudge
+from gem_eval.scoring.judge import RUBRIC, SYSTEM, model_judge
 from gem_eval.turns import error_text
 
 Verdict = bool | float | Mapping[str, bool | float] | None
@@ -166,7 +166,7 @@ def find_grader(
         agent = load_agent(grader, system=SYSTEM, **(options or {}))
         text = RUBRIC if rubric is None else rubric
         told = {"grader": grader, "rubric": text, "system": SYSTEM, "options": to_plain(dict(options or {}))}
-        return Grader(_file_name(grader), ModelJudge(agent, text), told, agent)
+        return Grader(_file_name(grader), model_judge(agent, text), told, agent)
     if ":" not in grader:
         raise ArgumentError(f"no grader {grader!r}: give 'module:function', 'env' or 'openai:MODEL'")
     with current_folder_importable():

@@ -1,19 +1,15 @@
-"""``ModelJudge``: a model that grades episodes by a rubric."""
+"""A model that grades episodes by a rubric."""
 
 from __future__ import annotations
 
-import inspect
 import json
-import secrets
+from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any
 
-from gem_core import Episode
-from gem_core.errors import GemError, GradingError
-from gem_core.judging import json_line, read_verdict
-from gem_core.rollouts import Context
 from gem_eval.turns import parts_of, text_of
 
 if TYPE_CHECKING:
+    from gem_core import Episode
     from gem_core.rollouts import Agent
 
 RUBRIC = (
@@ -31,85 +27,55 @@ SYSTEM = (
     "VERDICT: UNKNOWN."
 )
 
-_MEANING = {"PASS": True, "FAIL": False, "UNKNOWN": None}
 _LONGEST_MESSAGE = 10_000
 _LONGEST_TRANSCRIPT = 100_000
 _LONGEST_REASON = 500
 
 
-class ModelJudge:
-    """Asks a model whether an episode passes a rubric.
+def model_judge(agent: Agent, rubric: str = RUBRIC) -> Callable[[Episode], Awaitable[tuple[bool | None, str]]]:
+    """Return what asks a model whether an episode passes a rubric.
 
-    The transcript cannot speak for the examiner: each message is one line of JSON, all of them between marks that are
-    drawn anew each time, and only one clear verdict on the last line of the reply counts. A model can still be fooled:
-    read some of the verdicts that it gives.
+    It returns the verdict, None where the judge cannot tell, and the end of what it said.
 
     Args:
         agent: The model, with ``SYSTEM`` as its system text.
         rubric: What makes an episode pass.
     """
+    from gem_openai import ModelJudge
 
-    def __init__(self, agent: Agent, rubric: str = RUBRIC) -> None:
-        self._agent, self._rubric = agent, rubric
+    judge = ModelJudge(agent, {"PASS": True, "FAIL": False, "UNKNOWN": None})
 
-    async def __call__(self, episode: Episode) -> tuple[bool | None, str]:
-        """Return whether an episode passes, None where the judge cannot tell, and the end of what it said.
+    async def grade(episode: Episode) -> tuple[bool | None, str]:
+        verdict, reply = await judge.ask(*asked(episode, rubric), episode=f"{episode.key}.{episode.repeat}")
+        return verdict, reply[-_LONGEST_REASON:]
 
-        Raises:
-            GradingError: The model did not answer, or gave no clear verdict.
-        """
-        context = Context(
-            episode=f"{episode.key}.{episode.repeat}", env_id=episode.id, group=None, turn=0, info={}, tools=[],
-            transitions=[],
-        )  # fmt: skip
-        try:
-            answered = self._agent(asked(episode, self._rubric), context)
-            reply = await answered if inspect.isawaitable(answered) else answered
-        except GemError as error:
-            raise GradingError(f"the judge gave no verdict: {error}") from error
-        return parsed_verdict(reply), reply[-_LONGEST_REASON:]
+    return grade
 
 
-def asked(episode: Episode, rubric: str) -> str:
-    """Return what the judge is asked about an episode."""
-    lines = "\n".join(_transcript(episode))
-    mark = secrets.token_hex(16)
+def asked(episode: Episode, rubric: str) -> tuple[str, list[Any], str]:
+    """Return what the judge is asked: what stands before the transcript, the transcript, and the question."""
     return (
-        f"Rubric:\n{rubric.strip()}\n\n"
-        f"Transcript, between the marks {mark}:\n<{mark}>\n{lines}\n</{mark}>\n\n"
-        "Does the agent pass? End with VERDICT: PASS, VERDICT: FAIL or VERDICT: UNKNOWN."
+        f"Rubric:\n{rubric.strip()}\n\nTranscript",
+        _transcript(episode),
+        "\nDoes the agent pass? End with VERDICT: PASS, VERDICT: FAIL or VERDICT: UNKNOWN.",
     )
 
 
-def parsed_verdict(reply: str) -> bool | None:
-    """Return the verdict on the last line of a reply.
-
-    Raises:
-        GradingError: There is none, or the reply contains several that differ.
-    """
-    verdict = read_verdict(reply, *_MEANING)
-    if verdict is None:
-        ending = reply.strip()[-100:]
-        raise GradingError(
-            f"the judge's reply does not end with one of VERDICT: PASS, FAIL or UNKNOWN, but with {ending!r}"
-        )
-    return _MEANING[verdict]
-
-
-def _transcript(episode: Episode) -> list[str]:
-    """Return the conversation and how it ended, each a line of JSON; the middle of one that is long is left out."""
-    lines = [json_line(_message(message)) for message in episode.messages]
-    lines.append(json.dumps({"end": "the task was over" if episode.cut_off is None else f"cut off: {episode.cut_off}"}))
+def _transcript(episode: Episode) -> list[dict[str, Any]]:
+    """Return the conversation and how it ended; the middle of one that is long is left out."""
+    lines = [_message(message) for message in episode.messages]
+    lines.append({"end": "the task was over" if episode.cut_off is None else f"cut off: {episode.cut_off}"})
+    sizes = [len(json.dumps(line, ensure_ascii=False)) for line in lines]
     first, last, room = 0, len(lines), _LONGEST_TRANSCRIPT
     while first < last and room > 0:
         # The task stands first, and the outcome last; the end is kept twice as long as the beginning.
         if first * 2 <= len(lines) - last:
-            first, room = first + 1, room - len(lines[first])
+            first, room = first + 1, room - sizes[first]
         else:
-            last, room = last - 1, room - len(lines[last - 1])
+            last, room = last - 1, room - sizes[last - 1]
     if first == last:
         return lines
-    return [*lines[:first], json.dumps({"left out": f"{last - first} messages"}), *lines[last:]]
+    return [*lines[:first], {"left out": f"{last - first} messages"}, *lines[last:]]
 
 
 def _message(message: dict[str, Any]) -> dict[str, Any]:
