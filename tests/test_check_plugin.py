@@ -43,13 +43,13 @@ DANGLING = {
     "dangling:Syntax-v0": "gem_dangling_syntax.py:3: ",
     "dangling:Raises-v0": "gem_dangling_raises.py:7: ",
     "dangling:Exits-v0": "SystemExit: 3",
-    "dangling:Dies-v0": "exit code 7",
     "dangling:Kwargs-v0": "'lenght'. Did you mean 'length'?",
     "tool dangling": "Did you mean 'make_tool'?",
     "tool dangling_class": "does not derive from gem_core.Tool",
     "tool dangling_status": "its status: ",
     "requirement dangling": "no RequirementStatus",
     "command dangling": "no click.Command",
+    "command dangling_dies": "exit code 7",
 }
 """Each record with something wrong, and what is said of it."""
 
@@ -74,9 +74,7 @@ def test_every_entry_point_is_imported(tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 def test_a_module_that_hangs_is_ended(tmp_path: Path) -> None:
-    """It is named with the line where it hangs, waited for once, and what is in other modules is tried all the same."""
+    """It is named, and what comes after it is not tried."""
     code, problems = checked("hangs", install("hangs", tmp_path), "--timeout", "5")
-    assert code == 1
-    if len(problems) > 1:  # and not a machine so busy that declaring took too long
-        assert "gem_hangs_env.py:5: while its entry point was imported, it took too long (and 1 more)" in problems[0]
-        assert problems[1].startswith("hangs:Typo-v0: ")
+    assert (code, len(problems)) == (1, 1)
+    assert "no answer within 5 s" in problems[0]

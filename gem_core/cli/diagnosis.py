@@ -8,10 +8,8 @@ import os
 import platform
 import shutil
 import sys
-import threading
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +23,7 @@ from gem_core.registry.lookup import Registry, registry
 from gem_core.registry.plugins import Plugin, one_line
 from gem_core.registry.requirements import RequirementStatus, find
 from gem_core.registry.specs import EnvSpec, RequirementSpec, ToolSpec
-from gem_core.testing.importing import TIMEOUT_S, imported
+from gem_core.testing.plugin_check import TIMEOUT_S, inspect_plugin
 
 PACKAGES = ("gymnasium", "numpy", "pydantic", "pluggy", "click", "rich")
 """Dependencies of the core, whose versions belong in every bug report."""
@@ -44,7 +42,8 @@ def diagnose(*, quick: bool = False) -> dict[str, Any]:
     plugins = found.plugins()
     broken: list[str] = []
     with Progress(len(plugins), "plugins", unit="plugins", quiet=not sys.stderr.isatty()) as progress:
-        for number, (plugin, problems) in enumerate(problems_of(plugins, quick=quick)):
+        for number, plugin in enumerate(plugins):
+            problems = problems_of(plugin, quick=quick)
             if plugin.failure is not None:
                 problems.append(f"failed at stage '{plugin.failure.stage}': {plugin.failure.error}")
             broken += [f"{plugin}: {problem}" for problem in problems]
@@ -163,27 +162,15 @@ def status_line(status: Any) -> str:
     return " ".join(str(status or "").split())
 
 
-def problems_of(
-    plugins: Iterable[Plugin], timeout_s: float = TIMEOUT_S, *, quick: bool = False
-) -> Iterator[tuple[Plugin, list[str]]]:
-    """Yield each plugin with one line for each thing that is wrong with it, though it loads.
+def problems_of(plugin: Plugin, timeout_s: float = TIMEOUT_S, *, quick: bool = False) -> list[str]:
+    """Return one line for each thing that is wrong with a plugin, though it loads.
 
     Args:
-        plugins: What is tried, each in an interpreter of its own, as many at once as there are processors.
+        plugin: The plugin, whose entry points are imported in another interpreter.
         timeout_s: Seconds that the import of one entry point may take.
         quick: Whether to import nothing, and tell of conflicts only.
     """
-    stop = threading.Event()
-
-    def tried(plugin: Plugin) -> tuple[Plugin, list[str]]:
-        if quick or plugin.failure is not None or plugin.disabled or plugin.is_core:
-            return plugin, [*plugin.conflicts]
-        seen = imported(plugin.entry_point, timeout_s, stop.is_set)
-        return plugin, [*plugin.conflicts, *([seen.failure] if seen.failure else seen.problems)]
-
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        try:
-            yield from pool.map(tried, plugins)
-        finally:  # after an interrupt, do not wait for the others
-            stop.set()
-            pool.shutdown(cancel_futures=True)
+    if quick or plugin.failure is not None or plugin.disabled or plugin.is_core:
+        return [*plugin.conflicts]
+    seen = inspect_plugin(plugin.entry_point, timeout_s)
+    return [*plugin.conflicts, *([seen.failure] if seen.failure else seen.problems())]

@@ -12,7 +12,7 @@ from gem_core.cli.diagnosis import describe_plugin, offers_in_words, problems_of
 from gem_core.cli.documented import Documented
 from gem_core.cli.layout import echo_line
 from gem_core.registry.lookup import registry
-from gem_core.testing.importing import TIMEOUT_S
+from gem_core.testing.plugin_check import TIMEOUT_S
 
 
 @click.command("plugins", cls=Documented)
@@ -38,12 +38,12 @@ def command(ctx: click.Context, name: str | None, check: bool, timeout_s: float,
       gem plugins --check     exit code 1 if one is broken, or claims an id of another
 
     --check imports all that plugins offer, each plugin in its own process, and names each record that cannot
-    be imported, with file and line where its module fails.
+    be imported, with file and line where its module raises.
     """
     plugins = registry().plugins() if name is None else registry().plugins_named(name)
     found: list[dict[str, Any]] = []
-    for plugin, problems in problems_of(plugins, timeout_s, quick=not check):
-        found.append({**describe_plugin(plugin), "problems": problems})
+    for plugin in plugins:
+        found.append({**describe_plugin(plugin), "problems": problems_of(plugin, timeout_s, quick=not check)})
         if not as_json:
             _print(found[-1], with_traceback=check)
     if as_json:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import islice
 
-from gem_core.env.base import Env
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, GemError
 from gem_core.registry.specs import EnvSpec
 from gem_core.suggestions import did_you_mean
-from gem_core.testing import promises, promises_agents, promises_state  # noqa: F401 - they fill the table in this order
+from gem_core.testing import promises, promises_agents  # noqa: F401 - they fill the table in this order
 from gem_core.testing.contract import PROMISES, ContractError, Promise, Report
 from gem_core.testing.findings import NotTriedError
 from gem_core.testing.isolation import TookTooLongError, preserved
@@ -24,7 +23,7 @@ _SIGHTINGS = 20
 
 
 def check_env(
-    env_or_id: str | EnvSpec | AnyEnv | type[Env],
+    env_or_id: str | EnvSpec | AnyEnv | Callable[[], AnyEnv],
     *,
     skip: Mapping[str, str] | None = None,
     seed: int = 0,
@@ -35,12 +34,13 @@ def check_env(
 ) -> Report:
     """Try everything that the environment contract promises.
 
-    New instances are made for it, from the id, the class, or the arguments of the given instance, which itself is not
-    used. They are used in threads other than the caller's, as vector environments do. A ``MultiAgentEnv`` makes
+    New instances are made for it, from the id or the class, or the arguments of the given instance, which itself
+    is not used. They are used in threads other than the caller's, as vector environments do. A ``MultiAgentEnv`` makes
     most of the same promises, each for every agent, and those of ``promises_agents.py``.
 
     Args:
-        env_or_id: An id, a record, an environment with or without wrappers, or a class that needs no arguments.
+        env_or_id: An id, a record, an environment with or without wrappers, or a class or function that
+            makes one without arguments.
         skip: Promises that are not to be tried, each by its slug, with the reason.
         seed: Decides the seeds and the generated actions.
         episodes: Episodes that are played with sampled actions; one more is played with fixed ones.

@@ -48,7 +48,6 @@ def sent_by(
     variables: Mapping[str, str] = _NONE,
     stdout: IO[bytes] | int = subprocess.DEVNULL,
     stderr: IO[bytes] | int = subprocess.DEVNULL,
-    stopped: Callable[[], bool] = lambda: False,
 ) -> Generator[Any]:
     """Call ``function(send, *args)`` in another process, and yield each value that it sends.
 
@@ -62,7 +61,6 @@ def sent_by(
         variables: Environment variables over those of this process.
         stdout: A file for its standard output, which is dropped otherwise.
         stderr: A file for its standard error, which is dropped otherwise.
-        stopped: Ends the waiting once it returns True.
 
     Raises:
         CallError: The function raised something.
@@ -87,7 +85,7 @@ def sent_by(
         while True:
             # Its child processes may keep the connection open after its end.
             while not ours.poll(0.1):
-                if (process.poll() is not None or stopped()) and not ours.poll(0.0):
+                if process.poll() is not None and not ours.poll(0.0):
                     raise EOFError
             what, value = ours.recv()
             if what == "limit":

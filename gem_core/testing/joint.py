@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple, cast
 
+import gymnasium
+
+from gem_core.env.guard import Guard
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.wrapper import AnyEnv, Wrapper, step_async
 from gem_core.testing.findings import shown
@@ -38,6 +41,29 @@ class JointView(Wrapper):
         """Return a random response of an agent, or by default the action in which each who acts gives one."""
         sample = self.env.get_wrapper_attr("sample_random_action")
         return {each: sample(each) for each in acting(self)} if agent is None else sample(agent)
+
+
+def layers_of(env: AnyEnv) -> list[AnyEnv]:
+    """Return an environment's wrappers and its task, outermost first."""
+    layers = [env]
+    while isinstance(layers[-1], gymnasium.Wrapper):
+        layers.append(layers[-1].env)
+    return layers
+
+
+def guarded(env: AnyEnv) -> AnyEnv:
+    """Put a ``Guard`` around a stack that has none, as ``make`` does; around one of several agents, a ``JointView``."""
+    if is_joint(env):
+        return JointView(env)
+    return unchecked(env if any(isinstance(layer, Guard) for layer in layers_of(env)) else Guard(env))
+
+
+def unchecked(env: AnyEnv) -> AnyEnv:
+    """Make the guard of a stack pass results unchecked, since the promises check them."""
+    for layer in layers_of(env):
+        if isinstance(layer, Guard):
+            layer.checks_results = False
+    return env
 
 
 class SeenByOne(NamedTuple):

@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import sys
+import tempfile
 from collections.abc import Collection
+from contextlib import closing
+from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
+from typing import IO, Any
 
-from gem_core.errors import UnknownPluginError
+from gem_core.arguments import check_arguments
+from gem_core.errors import GemError, RegistrationError, UnknownPluginError
+from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.hookspecs import ENTRY_POINT_GROUP
+from gem_core.registry.plugins import Record, one_line
+from gem_core.registry.requirements import RequirementStatus, unmet
+from gem_core.registry.specs import EnvSpec, RequirementSpec, ToolSpec
 from gem_core.suggestions import did_you_mean
-from gem_core.testing.findings import Findings
-from gem_core.testing.importing import imported
+from gem_core.testing.findings import Findings, place_of
+from gem_core.testing.interpreter import CallError, Sender, sent_by
+
+TIMEOUT_S = 60.0
+"""Default limit for the import of one entry point, in seconds."""
 
 
 def check_plugin(plugin: str | ModuleType, *, allow: Collection[str] = ()) -> list[str]:
@@ -28,7 +41,7 @@ def check_plugin(plugin: str | ModuleType, *, allow: Collection[str] = ()) -> li
         UnknownPluginError: No plugin of this name is installed.
     """
     point = find_plugin(plugin if isinstance(plugin, str) else plugin.__name__)
-    seen = imported(point)
+    seen = inspect_plugin(point)
     findings = Findings(f"plugin {point.name!r}")
     if not findings.expect("It loads, and its hooks return records.", seen.failure is None, seen.failure):
         findings.result()
@@ -40,10 +53,10 @@ def check_plugin(plugin: str | ModuleType, *, allow: Collection[str] = ()) -> li
         f"it imports {', '.join(foreign)}; import these in the module of the implementation",
     )
     findings.expect("It writes nothing to standard output.", not seen.printed, seen.printed[:200])
-    findings.expect("It offers something.", bool(seen.records), "no hook returned a record")
-    mute = [record["name"] for record in seen.records if not record["summary"].strip()]
+    findings.expect("It offers something.", bool(seen.summaries), "no hook returned a record")
+    mute = [name for name, summary in seen.summaries.items() if not summary.strip()]
     findings.expect("Every record has a summary.", not mute, f"without one: {', '.join(mute)}")
-    wrong = seen.problems
+    wrong = seen.problems()
     findings.expect("Every entry point can be imported, and takes its arguments.", not wrong, "; ".join(wrong))
     return findings.result()
 
@@ -57,11 +70,179 @@ def find_plugin(name: str) -> EntryPoint:
     points = list(entry_points(group=ENTRY_POINT_GROUP))
     for point in points:
         module = point.value.partition(":")[0]
-        distribution = point.dist.name if point.dist is not None else ""
-        if name in (point.name, distribution, module, module.partition(".")[0]):
+        if name in (point.name, _distribution(point), module, module.partition(".")[0]):
             return point
     names = [point.name for point in points]
     raise UnknownPluginError(
         f"no plugin {name!r}.{did_you_mean(name, names)} Installed: {', '.join(names) or 'none'}. "
         "Install yours first, as with 'pip install -e .'"
     )
+
+
+@dataclass
+class Inspection:
+    """What was found out about a plugin.
+
+    Args:
+        failure: Why it could not be loaded, or None.
+        packages: Top-level packages that declaring imported, beside the standard library and the core.
+        printed: What declaring and importing wrote to standard output.
+        summaries: The summary of each record, by its name.
+        errors: What is wrong with the entry points of a record, by its name; records that are fine are left out.
+    """
+
+    failure: str | None = "it was not tried"
+    packages: list[str] = field(default_factory=list)
+    printed: str = ""
+    summaries: dict[str, str] = field(default_factory=dict)
+    errors: dict[str, str] = field(default_factory=dict)
+
+    def problems(self) -> list[str]:
+        """Return one line for each error, with the records that have it."""
+        names: dict[str, list[str]] = {}
+        for name, error in self.errors.items():
+            names.setdefault(error, []).append(name)
+        return [
+            f"{first}: {error}" + (f" (and {len(more)} more)" if more else "")
+            for error, (first, *more) in names.items()
+        ]
+
+
+def inspect_plugin(point: EntryPoint, timeout_s: float = TIMEOUT_S) -> Inspection:
+    """Load one plugin, without the others, and import every entry point that its records name.
+
+    It is done in another interpreter. A module that ends or hangs it is named, and what comes after is not tried.
+
+    Args:
+        point: The plugin.
+        timeout_s: Seconds that each import may take.
+    """
+    seen = Inspection()
+    present = ""
+    # Files and not pipes: what the interpreter starts may outlive it.
+    with tempfile.TemporaryFile() as printed, tempfile.TemporaryFile() as complained:
+        files: dict[str, Any] = {"stdout": printed, "stderr": complained}
+        args = (point.name, _distribution(point), timeout_s)
+        try:
+            with closing(sent_by(_import_all, *args, variables=_others_disabled(point), **files)) as answers:
+                loaded = next(answers)
+                seen.failure, seen.packages, seen.summaries = loaded
+                for what, text in answers:
+                    if what == "importing":
+                        present = text
+                    else:
+                        seen.errors[present] = text
+        except CallError as error:
+            how = f"{error}{_last_line(complained)}"
+            if present:
+                seen.errors[present] = f"while its entry point was imported, {how}; what comes after it was not tried"
+            else:
+                seen.failure = f"while it was loaded, {how}"
+        seen.printed = _text(printed)
+    return seen
+
+
+def _others_disabled(point: EntryPoint) -> dict[str, str]:
+    """Return the environment variables with which only one plugin is loaded, and its failure is not raised."""
+    others = [other for other in entry_points(group=ENTRY_POINT_GROUP) if other != point]
+    names = {name for other in others for name in (other.name, _distribution(other))}
+    disabled = sorted(names - {point.name, _distribution(point)})
+    return {"GEM_PLUGINS_DISABLE": ",".join(disabled), "GEM_PLUGINS_STRICT": ""}
+
+
+def _distribution(point: EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else ""
+
+
+def _text(file: IO[bytes]) -> str:
+    file.seek(0)
+    return file.read().decode(errors="replace")
+
+
+def _last_line(complained: IO[bytes]) -> str:
+    """Return the line of standard error that tells why an interpreter ended."""
+    lines = _text(complained).strip().splitlines()
+    last = next((line for line in lines if line.startswith("Fatal Python error: ")), lines[-1] if lines else "")
+    return f": {last[:200]}" if last else ""
+
+
+# These functions run in the other interpreter.
+
+
+def _import_all(send: Sender, name: str, distribution: str, timeout_s: float) -> None:
+    """Load a plugin, send what it declares, and then each record that is imported and what is wrong with it."""
+    import pluggy  # noqa: F401 - what the loader itself needs is no import of the plugin's
+
+    from gem_core.registry.lookup import registry
+
+    send.allow(timeout_s)
+    before = set(sys.modules)
+    plugins = [each for each in registry().plugins() if each.name == name]
+    plugin = next(each for each in plugins if distribution in ("", each.distribution))
+    packages = {name.partition(".")[0] for name in set(sys.modules) - before}
+    packages -= {*sys.stdlib_module_names, "gem_core", "pluggy"}
+    failure = None if plugin.failure is None else plugin.failure.error
+    summaries = {_name(record): record.summary for record in plugin.records}
+    send((failure, sorted(each for each in packages if not each.startswith("__editable__")), summaries))
+    for record in plugin.records:
+        send(("importing", _name(record)))
+        send.allow(timeout_s)
+        problem = _problem(record)
+        if problem:
+            send(("wrong", problem))
+
+
+def _name(record: Record) -> str:
+    return record.id if isinstance(record, EnvSpec) else f"{record.kind} {record.name}"
+
+
+def _problem(record: Record) -> str:
+    """Return what is wrong with the entry points of a record, and where; ``""`` where nothing is."""
+    package = _module(record).partition(".")[0]
+    try:
+        _check_entry_points(record)
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code may raise anything
+        cause = error.__cause__
+        needs_another = isinstance(cause, ImportError) and (cause.name or "").partition(".")[0] != package
+        if needs_another and isinstance(record, EnvSpec) and unmet(record.requires):
+            return ""  # its module imports a requirement that is not installed
+        place = "" if cause is None else place_of(cause, package)
+        text = f"{error}" if isinstance(error, GemError) else one_line(error)
+        return (f"{place}: " if place else "") + " ".join(text.split())
+    return ""
+
+
+def _check_entry_points(record: Record) -> None:
+    """Import the entry points of a record, and raise an error if one has the wrong type."""
+    target = load_entry_point(record.entry_point, "its entry point")
+    if isinstance(record, ToolSpec) and record.status is not None:
+        load_entry_point(record.status, "its status")
+    if isinstance(record, EnvSpec):
+        asked_for = {word.removeprefix("argument:"): None for word in record.requires if word.startswith("argument:")}
+        given = {name: value for name, value in record.kwargs.items() if name != "render_mode"}
+        check_arguments(target, (), asked_for | given, "its kwargs")
+    if isinstance(record, RequirementSpec):
+        check_arguments(target, ("",), {"closely": False}, "its probe")
+        answer = target("", closely=False)
+        if not isinstance(answer, RequirementStatus):
+            raise RegistrationError(f"{record.entry_point!r} returned {answer!r:.100}, and no RequirementStatus")
+    if record.instance_of is not None:
+        base: Any = load_entry_point(record.instance_of, "its kind")
+        if not isinstance(target, base):
+            raise RegistrationError(
+                f"{record.entry_point!r} is a {type(target).__name__}, and no {_expected_type(base)}"
+            )
+    if record.subclass_of is not None and isinstance(target, type):
+        base = load_entry_point(record.subclass_of, "its kind")
+        if not issubclass(target, base):
+            raise RegistrationError(f"{record.entry_point!r} does not derive from {_expected_type(base)}")
+
+
+def _expected_type(base: type) -> str:
+    return f"{base.__module__.partition('.')[0]}.{base.__name__}"
+
+
+def _module(record: Record) -> str:
+    point = record.entry_point
+    module = point if isinstance(point, str) else str(getattr(point, "__module__", ""))
+    return module.partition(":")[0]

@@ -73,29 +73,23 @@ class _Collection:
             ids = _matching(self.patterns)
         except GemError as error:
             if not hasattr(config, "workerinput"):
-                raise pytest.UsageError(str(error)) from None
-            ids, message = ["--gem-envs"], str(error)  # a usage error in a worker of xdist would read as a crash
+                raise pytest.UsageError(f"--gem-envs: {error}") from None
+            ids, message = (
+                ["--gem-envs"],
+                f"--gem-envs: {error}",
+            )  # a usage error in a worker of xdist would read as a crash
         collector = _Environments.from_parent(session, name="gem-envs", nodeid="gem-envs")
         collector.items = [EnvItem.from_parent(collector, name=name, skip=self.skip, message=message) for name in ids]
         items.extend(session.genitems(collector))
 
 
 def _matching(patterns: list[str]) -> list[str]:
-    from gem_core.errors import UnknownEnvError
-    from gem_core.registry.lookup import registry
-    from gem_core.suggestions import did_you_mean
+    from gem_core.cli import matching
 
     found: dict[str, None] = {}
     for pattern in patterns:
-        records = registry().envs(pattern)
-        exact = [record for record in records if record.id == pattern]
-        if not records:
-            names = [record.id for record in registry().envs()]
-            namespaces = sorted({record.namespace for record in registry().envs()})
-            hint = did_you_mean(pattern, [*namespaces, *names])
-            listed = ", ".join(namespaces) or "none"
-            raise UnknownEnvError(f"--gem-envs: no environment matches {pattern!r}.{hint} Namespaces: {listed}")
-        found.update(dict.fromkeys(record.id for record in exact or records))
+        ids = [record.id for record in matching(pattern)]
+        found.update(dict.fromkeys([pattern] if pattern in ids else ids))
     return list(found)
 
 

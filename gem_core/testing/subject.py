@@ -29,8 +29,7 @@ from gem_core.testing.comparing import play
 from gem_core.testing.findings import NotTriedError, place_of, shown
 from gem_core.testing.interpreter import CallError, Sender, sent_by
 from gem_core.testing.isolation import ProcessWatch, Watch
-from gem_core.testing.joint import SeenByOne, fitted, is_joint, responses, say, split, step_label
-from gem_core.testing.remaking import guarded, layers_of
+from gem_core.testing.joint import SeenByOne, fitted, guarded, is_joint, layers_of, responses, say, split, step_label
 from gem_core.types import Action
 
 PlainResult = dict[str, Any]

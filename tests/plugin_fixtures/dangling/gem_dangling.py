@@ -14,7 +14,6 @@ ENTRY_POINTS = {
     "Syntax": "gem_dangling_syntax:MathEnv",
     "Raises": "gem_dangling_raises:MathEnv",
     "Exits": "gem_dangling_exits:MathEnv",
-    "Dies": "gem_dangling_dies:MathEnv",
 }
 
 
@@ -41,8 +40,11 @@ def gem_register_tools():
 
 @hookimpl
 def gem_add_commands():
-    """Offer a command."""
-    return [CommandSpec(name="dangling", entry_point="gem_dangling_env:make_tool")]
+    """Offer commands; nothing is tried after the second one."""
+    return [
+        CommandSpec(name="dangling", entry_point="gem_dangling_env:make_tool"),
+        CommandSpec(name="dangling_dies", entry_point="gem_dangling_dies:command"),
+    ]
 
 
 @hookimpl

@@ -1,4 +1,4 @@
-"""Offers an environments whose module hangs, and one of another module behind them."""
+"""Offers an environment whose module hangs, and one of another module after it."""
 
 from gem_core import EnvSpec, hookimpl
 
@@ -8,6 +8,5 @@ def gem_register_envs():
     """Offer environments."""
     return [
         EnvSpec(id="hangs:One-v0", entry_point="gem_hangs_env:OneEnv"),
-        EnvSpec(id="hangs:Two-v0", entry_point="gem_hangs_env:TwoEnv"),
         EnvSpec(id="hangs:Typo-v0", entry_point="gem_hangs:Typo"),
     ]
