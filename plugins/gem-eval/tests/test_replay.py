@@ -161,26 +161,20 @@ def test_a_difference_ends_a_branch_unless_forced(played: Path) -> None:
     assert (forced.episodes[0].error, asked[0], forced.agrees) == (None, 2, False)
 
 
-def test_branches_are_a_run_with_the_original_beside_them(played: Path, tmp_path: Path) -> None:
-    """Each says what it was branched from; as a folder, or a file."""
-    for out in (tmp_path / "branches", tmp_path / "branches.jsonl"):
-        result = call(played, 3, "--from-turn", 2, "--agent", "random", "--branches", 2, "--out", out)
-        assert result.exit_code == 0, result.output
-        run = gem_eval.open_run(out)
-        assert [(row.model, row.epoch, row.row) for row in run.rows] == [
-            ("original", 0, run.rows[0].row),
-            ("random", 0, run.rows[0].row),
-            ("random", 1, run.rows[0].row),
-        ]
-        begun = {"run": str(played), "episode": 3, "from_turn": 2}
-        assert run.line(run.rows[2])["evaluation"]["branched_from"] == begun
-        assert gem_eval.compare(out).overall.rows == 1
+def test_branches_are_a_file_with_the_original_before_them(played: Path, tmp_path: Path) -> None:
+    """They share its row, so that they can be compared."""
+    out = tmp_path / "branches.jsonl"
+    result = call(played, 3, "--from-turn", 2, "--agent", "random", "--branches", 2, "--out", out)
+    assert result.exit_code == 0, result.output
+    rows = gem_eval.open_run(out).rows
+    assert [(row.model, row.epoch) for row in rows] == [("original", 0), ("random", 0), ("random", 1)]
+    assert gem_eval.compare(out).overall.rows == 1
     assert isinstance(call(played, 3, "--from-turn", 2, "-a", "random", "-o", out).exception, ArgumentError)
 
 
 def test_a_person_goes_on(played: Path, tmp_path: Path) -> None:
     """The turns before are shown, and answers take the form of the game."""
-    out = tmp_path / "mine"
+    out = tmp_path / "mine.jsonl"
     result = call(played, 1, "--from-turn", 7, "--agent", "human", "--out", out, text="9\n")
     assert result.exit_code == 0, result.output
     assert "── turn 6 of 6 ─" in result.output
@@ -209,16 +203,8 @@ def test_what_cannot_be_gone_on_from_is_refused(played: Path) -> None:
     """With what there is."""
     with pytest.raises(ArgumentError, match="there is no turn 9 to go on from: the episode has 7, from 1"):
         gem_eval.replay(played, 1, 9, guess)
-    for arguments, message in {
-        ("--agent", "random"): "--agent goes on from a turn: give --from-turn K; 1 is the beginning",
-        ("--branches", "2"): (
-            "--branches is for an agent that goes on: name one by --agent, as in --agent random --from-turn 2"
-        ),
-        ("--from-turn", "2"): (
-            "--from-turn is for an agent that goes on: name one by --agent, as in --agent random --from-turn 2"
-        ),
-    }.items():
-        assert str(call(played, 1, *arguments).exception) == message
+    for arguments in (("--agent", "random"), ("--branches", "2"), ("--from-turn", "2")):
+        assert isinstance(call(played, 1, *arguments).exception, ArgumentError)
 
 
 def test_a_replay_is_compared_with_a_record_whose_images_were_not_read(tmp_path: Path) -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import shlex
+import time
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import click
 
-from gem_core import Episode
+from gem_core import Episode, write_episodes
 from gem_core.cli import (
     AGENTS,
     Column,
@@ -20,13 +24,11 @@ from gem_core.cli import (
     print_table,
 )
 from gem_core.errors import ArgumentError
-from gem_core.rollouts import close_agent, load_agent
-from gem_eval.opening import refuse_seats
 from gem_eval.output import print_json
-from gem_eval.records import open_run
-from gem_eval.replaying.branches import write_branches
-from gem_eval.replaying.replay import Replay, repeated_turns, replay
-from gem_eval.show.text import one_line
+from gem_eval.replaying.replay import Replay, replay
+from gem_eval.show.lines import episode_lines
+from gem_eval.show.paging import write_lines
+from gem_eval.show.text import one_line, rule
 from gem_eval.turns import error_text, outcome_of
 
 _PERSON = "human"
@@ -38,7 +40,7 @@ _PERSON = "human"
 Examples:
   gem replay runs/mine 17                              does a replay go as recorded?
   gem replay runs/mine 17 --from-turn 4 --agent openai:gpt-5-mini --branches 8
-  gem replay runs/mine 17 --from-turn 4 --agent human  go on yourself, as in 'gem play'
+  gem replay runs/mine 17 --from-turn 4 --agent human  go on yourself
   gem replay runs/mine 17 --set rows=data/mine.jsonl   with an argument that the record lacks
 \b
 GEM makes the environment from the record (id, arguments, wrappers), resets it with the recorded seed and
@@ -48,7 +50,7 @@ played anew. The agent reads the conversation up to there as its own.
 A record lacks long arguments and secrets: --set gives them. Observations and rewards are compared with the
 record; a difference ends a branch with an error, unless --force is given.
 \b
-Branches are a run of their own, with the original as episode 1, for 'gem show', 'gem compare' and others.
+Branches are written to a file, with the original as episode 1, for 'gem show', 'gem compare' and others.
 \b
 Exit code: 0 if all went as recorded and no branch has an error, 1 if not, 2 for a wrong argument.
 """,
@@ -67,7 +69,7 @@ Exit code: 0 if all went as recorded and no branch has an error, 1 if not, 2 for
 )
 @arguments_option
 @click.option("--force", is_flag=True, help="Go on even if the replay differs from the record.")
-@click.option("-o", "--out", metavar="PATH", help="Folder, or file .jsonl, for the branches.  [default: in runs/]")
+@click.option("-o", "--out", metavar="FILE", help="File .jsonl for the branches.  [default: in runs/]")
 @click.option("--json", "as_json", is_flag=True, help="Write the result as JSON.")
 @agent_options
 @click.pass_context
@@ -89,99 +91,71 @@ def command(
 
     RUN is a folder that 'gem eval' wrote, or a file of 'gem run'; EPISODE is a number of 'gem show'.
     """
-    kwargs = env_arguments(arguments)
-    if agent is None:
-        _refuse_without_agent(
-            {
-                "--from-turn": from_turn is not None,
-                "--branches": branches > 1,
-                "--out": out is not None,
-                "--force": force,
-                **given(options),
-            }
-        )
-        found = replay(path, number, kwargs=kwargs)
-        _report(found, as_json)
-        ctx.exit(0 if found.agrees and found.episodes[0].error is None else 1)
-    if from_turn is None:
+    if agent is None and (from_turn or branches > 1 or out or force or given(options)):
+        raise ArgumentError("these options are for an agent that goes on: name one, as in --agent random --from-turn 2")
+    if agent is not None and from_turn is None:
         raise ArgumentError("--agent goes on from a turn: give --from-turn K; 1 is the beginning")
+    file = Path(out or f"runs/replay-{time.strftime('%Y%m%d-%H%M%S')}.jsonl")
+    if agent is not None and file.exists():
+        raise ArgumentError(f"{file} is there already; choose another name for --out")
+    kwargs = env_arguments(arguments)
+    settings: dict[str, Any] = {"branches": branches, "kwargs": kwargs, "force": force, "options": given(options)}
     if agent == _PERSON:
-        found = _by_a_person(path, number, from_turn, kwargs, branches)
-        if not found.episodes:
-            return
-    else:
-        loaded = load_agent(agent, **given(options))
-        try:
-            limit = options.get("max_concurrency")
-            found = replay(
-                path, number, from_turn, loaded, branches=branches, kwargs=kwargs, force=force, max_requests=limit
-            )
-        finally:
-            close_agent(loaded)
-        for episode in found.episodes:
-            episode.agent = agent
-    written = str(write_branches(found, agent, out))
-    _report(found, as_json, agent=agent, written=written)
-    failed = any(episode.error is not None for episode in found.episodes)
-    ctx.exit(1 if failed or not found.agrees else 0)
-
-
-def _by_a_person(path: str, number: int, from_turn: int, kwargs: dict[str, Any], branches: int) -> Replay:
-    from gem_eval.replaying.person import play_on
-
-    run = open_run(path)
-    row = run.row(number)
-    refuse_seats([row])
-    original = run.episode(row, images=True)
-    return play_on(run, row, original, repeated_turns(original, from_turn), kwargs, branches)
-
-
-def _refuse_without_agent(given_options: dict[str, Any]) -> None:
-    for option, is_given in given_options.items():
-        if is_given:
-            name = option if option.startswith("--") else f"--{option.replace('_', '-')}"
-            raise ArgumentError(
-                f"{name} is for an agent that goes on: name one by --agent, as in --agent random --from-turn 2"
-            )
-
-
-def _report(found: Replay, as_json: bool, *, agent: str | None = None, written: str | None = None) -> None:
+        _show_beginning(replay(path, number, kwargs=kwargs), (from_turn or 1) - 1)
+    found = replay(path, number, from_turn, agent, **settings)
+    written = None
+    if agent is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        original = replace(found.original, key="original", repeat=0, agent="original")
+        write_episodes(file, [original, *found.episodes])
+        written = str(file)
     if as_json:
         print_json(_as_dict(found, written))
-        return
-    where = f"episode {found.row.number} of {one_line(str(found.run.path))}"
+    else:
+        _print(found, written)
+    ctx.exit(0 if found.agrees and all(episode.error is None for episode in found.episodes) else 1)
+
+
+def _show_beginning(found: Replay, turns: int) -> None:
+    """Show a person the turns before the first of theirs."""
+    if 0 < turns <= found.original.turns:
+        first = replace(found.original, transitions=found.original.transitions[:turns], final_observation="")
+        _, _, *lines = episode_lines(first, found.row.number)  # without the heading and the outcome
+        write_lines(itertools.takewhile(lambda line: line != rule("end"), lines))
+
+
+def _print(found: Replay, written: str | None) -> None:
     for place, each in enumerate(found.differences, start=1):
         for difference in each:
-            of = "" if agent is None else f"branch {place}, "
-            echo_line(one_line(f"not as recorded: {of}{difference}"))
-    for episode in found.episodes:
-        if episode.error is not None and agent is None:
-            echo_line(one_line(f"the replay ended in an error: {error_text(episode.error)}"))
+            echo_line(one_line(f"not as recorded: {f'branch {place}, ' if written else ''}{difference}"))
     if found.agrees:
+        where = f"episode {found.row.number} of {one_line(str(found.run.path))}"
         echo_line(f"{counted(found.turns, 'turn')} of {where} repeated: all as recorded.")
-    if agent is None:
+    if written is None:
+        for episode in found.episodes:
+            if episode.error is not None:
+                echo_line(one_line(f"the replay ended in an error: {error_text(episode.error)}"))
         return
     click.echo()
     listed = [("original", found.original), *((f"branch {n}", each) for n, each in enumerate(found.episodes, start=1))]
-    print_table(_columns(), listed)
-    path = shlex.quote(written or "")
+    print_table(_COLUMNS, listed)
+    path = shlex.quote(written)
     click.echo(f"\nWritten to {written}, the original as episode 1:")
     click.echo(f"  gem show {path}\n  gem show {path} --diff 1 2")
 
 
-def _columns() -> list[Column]:
-    def of(episode: Episode) -> str:
-        return outcome_of(episode.success, failed=episode.error is not None)
+def _outcome(each: tuple[str, Episode]) -> str:
+    return outcome_of(each[1].success, failed=each[1].error is not None)
 
-    columns = [
-        Column("episode", lambda each: str(each[0]), name=True),
-        Column("outcome", lambda each: of(each[1])),
-        Column("return", lambda each: f"{each[1].episode_return:.4g}"),
-        Column("turns", lambda each: str(each[1].turns)),
-        Column("cut off", lambda each: each[1].cut_off or ""),
-        Column("error", lambda each: one_line(error_text(each[1].error), 200)),
-    ]
-    return columns
+
+_COLUMNS = [
+    Column("episode", lambda each: str(each[0]), name=True),
+    Column("outcome", _outcome),
+    Column("return", lambda each: f"{each[1].episode_return:.4g}"),
+    Column("turns", lambda each: str(each[1].turns)),
+    Column("cut off", lambda each: each[1].cut_off or ""),
+    Column("error", lambda each: one_line(error_text(each[1].error), 200)),
+]
 
 
 def _as_dict(found: Replay, written: str | None) -> dict[str, Any]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gem_core as gem
 from gem_core import Episode, PlanItem
-from gem_core.errors import ArgumentError, GemError, UnknownNameError
+from gem_core.errors import AgentError, ArgumentError, GemError, UnknownNameError
 from gem_core.records import to_plain
 from gem_core.rollouts import Agent, as_agent, close_agent, load_agent, prepare_agent
 from gem_eval.opening import opened, refuse_seats
@@ -61,11 +62,11 @@ def replay(
     branches: int = 1,
     kwargs: Mapping[str, Any] | None = None,
     force: bool = False,
-    max_requests: int | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> Replay:
     """Replay an episode: make its environment from the record, reset it with its seed, and repeat its actions.
 
-    With an agent, that goes on from a turn. It is sent the conversation up to there, with the recorded responses, as
+    An agent goes on from a turn. It is sent the conversation up to there, with the recorded responses, as
     if they were its own.
 
     Args:
@@ -76,7 +77,7 @@ def replay(
         branches: How many times it goes on from there.
         kwargs: Keyword arguments of the environment that the record lacks, or others than recorded.
         force: Go on where an observation or a reward is not as recorded. Without, such a branch ends in an error.
-        max_requests: How many branches are played at once; None for all.
+        options: Keyword arguments of an agent that is named.
 
     Raises:
         ArgumentError: The record does not say enough to make the environment; or there is no such episode or turn.
@@ -88,60 +89,30 @@ def replay(
     row = run.row(number)
     refuse_seats([row])
     original = run.episode(row, images=True)
-    turns = repeated_turns(original, from_turn)
-    if agent is None:
-        (replayed,) = repeat_episode(original, RecordedActions(original, turns, None, force=True), kwargs)
-        return Replay(run, row, original, turns, [replayed], [differences(original, replayed, turns)])
-    loaded = load_agent(agent) if isinstance(agent, str) else as_agent(agent)
-    try:
-        prepare_agent(loaded)
-        acting = RecordedActions(original, turns, loaded, force=force)
-        episodes = repeat_episode(original, acting, kwargs, branches, max_requests or branches)
-    finally:
-        if isinstance(agent, str):
-            close_agent(loaded)
+    over = bool(original.transitions) and original.transitions[-1].terminated
+    if from_turn is not None and not 1 <= from_turn <= original.turns + (not over):
+        raise ArgumentError(f"there is no turn {from_turn} to go on from: the episode has {original.turns}, from 1")
+    turns = original.turns if from_turn is None else from_turn - 1
+    own = load_agent(agent, **(options or {})) if isinstance(agent, str) else None if agent is None else as_agent(agent)
+    recipe = recipe_of(original, kwargs)
+    item = PlanItem(seed=original.seed, options=original.options, repeat=branches)
+    acting = RecordedActions(original, turns, own, force=force or own is None)
+    at_once = 1 if getattr(own, "interactive", False) else min(branches, getattr(own, "max_concurrency", branches))
+    with ExitStack() as at_end:
+        if own is not None:
+            if isinstance(agent, str):
+                at_end.callback(close_agent, own)
+            prepare_agent(own)
+        try:
+            played = list(gem.rollout([recipe], acting, plan=[item], seed=original.run_seed, num_envs=at_once))
+        except AgentError:
+            raise
+        except GemError as error:
+            raise _not_made(original, error) from error
+    episodes = sorted(played, key=lambda each: each.repeat)
     for episode in episodes:
         episode.agent = agent if isinstance(agent, str) else None
     return Replay(run, row, original, turns, episodes, [differences(original, each, turns) for each in episodes])
-
-
-def repeated_turns(episode: Episode, from_turn: int | None) -> int:
-    """Return how many turns are repeated.
-
-    Raises:
-        ArgumentError: The episode has no such turn.
-    """
-    if from_turn is None:
-        return episode.turns
-    over = bool(episode.transitions) and episode.transitions[-1].terminated
-    last = episode.turns if over else episode.turns + 1
-    if not 1 <= from_turn <= last:
-        raise ArgumentError(f"there is no turn {from_turn} to go on from: the episode has {episode.turns}, from 1")
-    return from_turn - 1
-
-
-def repeat_episode(
-    episode: Episode, agent: Any, kwargs: Mapping[str, Any] | None = None, times: int = 1, num_envs: int = 1
-) -> list[Episode]:
-    """Let an agent act from the start of a recorded episode; return the new episodes, in order.
-
-    Args:
-        episode: The record.
-        agent: Who acts.
-        kwargs: Keyword arguments over the recorded ones.
-        times: How often.
-        num_envs: How many at once.
-
-    Raises:
-        ArgumentError: The environment cannot be made from the record.
-    """
-    entry = recipe_of(episode, kwargs)
-    item = PlanItem(seed=episode.seed, options=episode.options, repeat=times)
-    try:
-        found = list(gem.rollout([entry], agent, plan=[item], seed=episode.run_seed, num_envs=min(times, num_envs)))
-    except GemError as error:
-        raise _not_made(episode, error) from error
-    return sorted(found, key=lambda each: each.repeat)
 
 
 def repeat_all(
