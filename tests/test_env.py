@@ -1,10 +1,8 @@
-"""The contract of ``Env``: seeds, state, siblings, and life among Gymnasium's wrappers."""
+"""The contract of ``Env``: seeds, random actions, and observations."""
 
 from __future__ import annotations
 
-import copy
 import json
-import pickle
 from typing import Any
 
 import numpy as np
@@ -47,11 +45,9 @@ def test_stream_continues_with_other_episodes() -> None:
 
 def test_reported_seed_replays_an_episode_alone() -> None:
     """info["seed"] of any episode starts the same episode in another instance."""
-    env = gem.make("test:Guess-v3")
+    env, other = gem.make("test:Guess-v3"), gem.make("test:Guess-v3")
     env.reset(seed=4)
-    _, info = env.reset()
-    other = gem.make("test:Guess-v3")
-    other.reset(seed=info["seed"])
+    other.reset(seed=env.reset()[1]["seed"])
     assert play(env) == play(other)
 
 
@@ -62,20 +58,12 @@ def test_unseeded_environments_differ_and_report_their_seed() -> None:
     assert max(seeds) < 2**53
 
 
-@pytest.mark.parametrize("seed", [-1, True, 1.5, "x"])
+@pytest.mark.parametrize("seed", [-1, True, 1.5, "x", 2**128])
 def test_bad_seed_is_refused(seed: Any) -> None:
-    """Reset and seed_actions take whole numbers from 0 up."""
-    text = f"seed must be a whole number from 0 up, not {seed!r}"
+    """Reset and seed_actions take whole numbers from 0 up, and below 2**128."""
     for call in (GuessEnv().reset, gem.make("test:Guess-v3").reset, GuessEnv().seed_actions):
-        with pytest.raises(ArgumentError) as caught:
+        with pytest.raises(ArgumentError, match=r"^seed must be "):
             call(seed)
-        assert str(caught.value) == text
-
-
-def test_seed_without_end_is_refused() -> None:
-    """A number that could not even be printed."""
-    with pytest.raises(ArgumentError, match=r"seed must be below 2\*\*128"):
-        GuessEnv().reset(seed=10**5000)
 
 
 def test_numpy_seed_is_reported_as_int() -> None:
@@ -95,28 +83,23 @@ def test_global_randomness_is_left_alone() -> None:
 
 def test_generator_before_reset_is_reproducible() -> None:
     """A generator that is used before any reset has a seed of ours, which starts the same stream."""
-    env = GuessEnv()
-    seed = env.np_random_seed
+    env, fresh = GuessEnv(), StatelessEnv()
     draws = env.np_random.integers(0, 1000, 5).tolist()
-    assert seed < 2**53
-    fresh = StatelessEnv()
-    fresh.reset(seed=seed)
+    fresh.reset(seed=env.np_random_seed)
     assert fresh.np_random.integers(0, 1000, 5).tolist() == draws
 
 
-@pytest.mark.parametrize("bits", [np.random.PCG64, np.random.MT19937])
-def test_generator_from_outside_is_never_started_in_place(bits: Any) -> None:
-    """A generator that was set from outside stays its owner's at the next reset, whatever its kind."""
-    outside = np.random.Generator(bits(1))
+def test_generator_from_outside_is_kept_until_the_next_reset() -> None:
+    """It stays its owner's: a reset begins a stream of its own."""
+    outside = np.random.Generator(np.random.PCG64(1))
     env, twin = GuessEnv(), GuessEnv()
     env.np_random = outside
     assert env.np_random is outside
     assert env.np_random_seed == -1
     state = str(outside.bit_generator.state)
-    env.reset(seed=4)
-    twin.reset(seed=4)
-    assert str(outside.bit_generator.state) == state
+    assert env.reset(seed=4) == twin.reset(seed=4)
     assert play(env) == play(twin)
+    assert str(outside.bit_generator.state) == state
 
 
 # Random actions.
@@ -132,60 +115,31 @@ def test_sampling_does_not_change_the_episode() -> None:
     assert play(first) == play(second)
 
 
-def test_sampling_follows_the_seed() -> None:
-    """The same episode samples the same actions, another one others."""
-
-    def sample(seed: int) -> list[str]:
-        env = GuessEnv(high=10**9)
-        env.reset(seed=seed)
-        return [env.sample_random_action() for _ in range(5)]
-
-    assert sample(4) == sample(4) != sample(5)
-
-
-def test_actions_are_reseeded_for_one_episode() -> None:
+def test_samples_follow_the_seed_of_the_episode_or_of_the_actions() -> None:
     """seed_actions changes the samples of this episode, and reset ends it."""
     env = GuessEnv(high=10**9)
+
+    def sampled() -> list[str]:
+        return [env.sample_random_action() for _ in range(3)]
+
     env.reset(seed=4)
-    own = env.sample_random_action()
+    own = sampled()
     env.seed_actions(1)
-    other = env.sample_random_action()
+    other = sampled()
     env.seed_actions(1)
-    assert env.sample_random_action() == other != own
+    assert sampled() == other != own
     env.reset(seed=4)
-    assert env.sample_random_action() == own
+    assert sampled() == own
+    env.reset(seed=5)
+    assert sampled() != own
 
 
-def test_sampling_unsupported_says_what_to_override() -> None:
-    """An environment that does not say what is valid raises with the method to write."""
-    with pytest.raises(SamplingNotSupported) as caught:
+def test_what_a_subclass_left_out_is_named() -> None:
+    """With the method to write."""
+    with pytest.raises(SamplingNotSupported, match="sample_random_action"):
         StatelessEnv().sample_random_action()
-    assert str(caught.value) == ("StatelessEnv does not say what a valid action is; override sample_random_action")
-
-
-# Copies.
-
-
-def test_fork_through_make_goes_on_the_same() -> None:
-    """A sibling in the same state gives the same results, and does not touch its original."""
-    env = gem.make("test:Guess-v3")
-    env.reset(seed=4)
-    play(env, 1)
-    sibling = env.fork()
-    assert play(sibling) == play(env)
-
-
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-@pytest.mark.parametrize("make", [GuessEnv, lambda: gem.make("test:Guess-v3", wrappers="episode_stats")])
-def test_copies_go_on_the_same(make: Any, duplicate: Any) -> None:
-    """A copied or pickled environment, bare or made, goes on as its original and apart from it."""
-    env = make()
-    env.reset(seed=4)
-    play(env, 1)
-    again = duplicate(env)
-    expected = [step[:4] for step in play(again)]
-    assert [step[:4] for step in play(env)] == expected
-    assert again.spec == env.spec
+    with pytest.raises(NotImplementedError, match=r"^StatelessEnv must define step"):
+        StatelessEnv().step("x")
 
 
 # Observations.
@@ -213,9 +167,3 @@ def test_parts_are_a_new_list() -> None:
     """Joining never hands out the list it was given."""
     parts = [PART]
     assert as_parts(parts) is not parts
-
-
-def test_missing_step_names_the_class() -> None:
-    """A subclass without step says so."""
-    with pytest.raises(NotImplementedError, match=r"^StatelessEnv must define step\(self, action\)$"):
-        StatelessEnv().step("x")

@@ -4,21 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, SupportsIndex, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium
 import numpy as np
 
 from gem_core.arguments import RemembersArguments
 from gem_core.background import in_thread, run_sync
-from gem_core.env.seeding import (
-    SEED_MAXIMUM,
-    checked_seed,
-    fresh_seed,
-    next_seed,
-    stable_hash,
-    start_generator,
-)
+from gem_core.env.seeding import checked_seed, fresh_seed, generator_at, next_seed, stable_hash
 from gem_core.env.spaces import Text
 from gem_core.errors import SamplingNotSupported
 from gem_core.types import Concurrency, ResetResult, StepResult
@@ -91,10 +84,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     """The ``MadeSpec`` that ``make`` made it from; None for one that was made by its class."""
 
     _generator: np.random.Generator | None = None
-    _generator_started: bool = True
     _action_generator: np.random.Generator | None = None
-    _action_seed: int | None = None
-    _action_started: bool = False
 
     @cached_property
     def action_space(self) -> spaces.Space[Any]:  # type: ignore[override]
@@ -117,17 +107,14 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         Returns:
             The first observation and an info dictionary of plain JSON.
         """
-        if seed is None:
-            previous = self._np_random_seed
-            seed = fresh_seed() if previous is None or previous < 0 else next_seed(previous)
-        elif type(seed) is not int or not 0 <= seed < SEED_MAXIMUM:
-            seed = checked_seed(cast("SupportsIndex", seed))
-        if self._np_random_seed == _SET_FROM_OUTSIDE:
-            self._generator = None
+        if seed is not None:
+            seed = checked_seed(seed)
+        elif self._np_random_seed in (None, _SET_FROM_OUTSIDE):
+            seed = fresh_seed()
+        else:
+            seed = next_seed(self._np_random_seed)
         self._np_random_seed = seed
-        self._generator_started = False
-        self._action_started = False
-        self._action_seed = None
+        self._generator = self._action_generator = None
         return "", {}
 
     def step(self, action: str) -> StepResult:
@@ -177,59 +164,36 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         """
         return None
 
-    @property
-    def np_random(self) -> np.random.Generator:
-        """The source of randomness of the task; started anew by every ``reset``.
+    # Gymnasium's own ``np_random`` reads and sets ``_np_random``.
 
-        It starts when it is first asked for, since a start costs more than the whole reset of a small task does.
-        """
-        if not self._generator_started:
-            self._generator = start_generator(self._generator, cast("int", self._np_random_seed))
-            self._generator_started = True
-        elif self._generator is None:
-            self._np_random_seed = fresh_seed()
-            self._generator = start_generator(None, self._np_random_seed)
+    @property
+    def _np_random(self) -> np.random.Generator:
+        """The generator of the task, which starts when it is first used: many small tasks never use it."""
+        if self._generator is None:
+            self._generator = generator_at(self.np_random_seed)
         return self._generator
 
-    @np_random.setter
-    def np_random(self, value: np.random.Generator) -> None:
-        self._np_random = value
-        self._np_random_seed = _SET_FROM_OUTSIDE
+    @_np_random.setter
+    def _np_random(self, value: np.random.Generator | None) -> None:
+        self._generator = value
 
     @property
     def np_random_seed(self) -> int:
         """The seed of the present episode; -1 after ``np_random`` was set from outside."""
-        seed = self._np_random_seed
-        if seed is not None:
-            return seed
-        # Gymnasium's own property would start a generator of another kind here.
-        _ = self.np_random
-        return cast("int", self._np_random_seed)
-
-    @property
-    def _np_random(self) -> np.random.Generator | None:
-        """The generator that Gymnasium's own code reads and sets; None before the first reset or draw."""
-        return self._generator if self._generator_started else self.np_random
-
-    @_np_random.setter
-    def _np_random(self, value: np.random.Generator | None) -> None:
-        self._generator, self._generator_started = value, True
+        if self._np_random_seed is None:
+            self._np_random_seed = fresh_seed()
+        return self._np_random_seed
 
     @property
     def action_random(self) -> np.random.Generator:
         """The generator of ``sample_random_action``, apart from the task's: sampling never changes an episode."""
-        if not self._action_started or self._action_generator is None:
-            seed = self._action_seed
-            if seed is None:
-                seed = stable_hash(self.np_random_seed, "actions")
-            self._action_generator = start_generator(self._action_generator, seed)
-            self._action_started = True
+        if self._action_generator is None:
+            self._action_generator = generator_at(stable_hash(self.np_random_seed, "actions"))
         return self._action_generator
 
     def seed_actions(self, seed: int) -> None:
         """Start ``action_random`` from ``seed`` for the rest of this episode."""
-        self._action_seed = checked_seed(seed)
-        self._action_started = False
+        self._action_generator = generator_at(checked_seed(seed))
 
     @property
     def env_id(self) -> str | None:

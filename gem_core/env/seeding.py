@@ -1,4 +1,4 @@
-"""Seeds: one stable hash, and generators that start from a seed at little cost."""
+"""Seeds: one stable hash, and generators that start from a seed."""
 
 from __future__ import annotations
 
@@ -45,18 +45,6 @@ def _encode_part(part: SupportsIndex | str | None) -> bytes:
     return b"i%d," % operator.index(part)
 
 
-def seed_family(*parts: SupportsIndex | str | None) -> blake2b:
-    """Return what ``seed_at`` draws from: hashes that begin with the same parts."""
-    return blake2b(b"".join(map(_encode_part, parts)), digest_size=8)
-
-
-def seed_at(family: blake2b, place: tuple[int, ...]) -> int:
-    """Return ``stable_hash`` of the parts of a family and further whole numbers, at half the cost."""
-    state = family.copy()
-    state.update(b"i%d," % place if len(place) == 1 else b"i%d,i%d," % place)
-    return int.from_bytes(state.digest(), "little") % SEED_LIMIT
-
-
 def next_seed(seed: int) -> int:
     """Return the seed of the episode that follows the one that started from ``seed`` in the same stream."""
     return (seed * _NEXT_MULTIPLIER + _NEXT_INCREMENT) % SEED_LIMIT
@@ -84,14 +72,12 @@ def checked_seed(seed: SupportsIndex) -> int:
     return number
 
 
-def start_generator(generator: np.random.Generator | None, seed: int) -> np.random.Generator:
+def generator_at(seed: int) -> np.random.Generator:
     """Return a generator at the start of the stream ``seed``.
 
-    The state of a given generator is set in place, which costs a fraction of making a new one. The stream is PCG64
-    started from the BLAKE2b hash of the seed; it is not the one of ``numpy.random.default_rng(seed)``.
+    The stream is PCG64 started from the BLAKE2b hash of the seed; it is not ``numpy.random.default_rng(seed)``.
     """
-    if generator is None:
-        generator = np.random.Generator(np.random.PCG64(0))
+    generator = np.random.Generator(np.random.PCG64(0))
     value = int.from_bytes(blake2b(b"%d" % seed, digest_size=32).digest(), "little")
     generator.bit_generator.state = {
         "bit_generator": "PCG64",

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, cast, overload
 
-from gem_core.env.seeding import checked_seed, fresh_seed, seed_at, seed_family, stable_hash
+from gem_core.env.seeding import checked_seed, fresh_seed, stable_hash
 from gem_core.errors import ArgumentError
 
 
@@ -101,7 +101,6 @@ class EpisodeQueue:
         self.seed = fresh_seed() if seed is None else checked_seed(seed)
         self.planned = plan is not None
         self._plan = plan
-        self._seeds = seed_family(self.seed, "episode")
         self._is_done: Callable[[EpisodeStart], bool] = lambda start: False
         self._lock = threading.Lock()
         # The position in the plan, as plain values: an interrupt at any instruction loses at most the episode that was
@@ -172,7 +171,8 @@ class EpisodeQueue:
                 return start
             count = self._counts[slot]
             self._counts[slot] += 1
-            return EpisodeStart(_NO_ITEM, (slot, count), 0, seed_at(self._seeds, (slot, count)), self.seed, count)
+            seed = stable_hash(self.seed, "episode", slot, count)
+            return EpisodeStart(_NO_ITEM, (slot, count), 0, seed, self.seed, count)
 
     def _next_of_plan(self) -> EpisodeStart | None:
         if self._item is None or self._next_repeat == self._item[1].repeat:
@@ -199,7 +199,7 @@ class EpisodeQueue:
         return index, self._plan[index]
 
     def _start(self, index: int, item: PlanItem, repeat: int) -> EpisodeStart:
-        seed = seed_at(self._seeds, (index,)) if item.seed is None else item.seed
+        seed = stable_hash(self.seed, "episode", index) if item.seed is None else item.seed
         return EpisodeStart(item, (index,), repeat, seed, self.seed)
 
 
