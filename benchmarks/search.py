@@ -53,12 +53,12 @@ def measured(folder: Path, passages: int, queries: int) -> dict[str, float]:
     corpus = folder / f"{passages}.jsonl"
     if not corpus.exists():
         write_corpus(corpus, passages)
-    there = set((folder / "index").glob("*/words.npy"))
+    there = set((folder / "index").glob("*/offsets.npy"))
     started = time.perf_counter()
     index = open_index(corpus, folder / "index")
     figures = {"first_open_s": time.perf_counter() - started}
     figures["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    figures["built"] = float(set((folder / "index").glob("*/words.npy")) != there)
+    figures["built"] = float(set((folder / "index").glob("*/offsets.npy")) != there)
     asked = some_queries(corpus, passages, queries)
     times = []
     for query in asked:

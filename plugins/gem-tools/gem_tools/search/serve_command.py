@@ -31,26 +31,17 @@ Ctrl-C ends it, after the requests that have begun; the exit code is 0.
 @click.argument("corpus", type=click.Path())
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; 0.0.0.0 for all.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="0 takes a free one.")
-@click.option("--workers", type=click.IntRange(1, 256), help="Threads that search.  [default: one for each core]")
-@click.option(
-    "--max-pending",
-    type=click.IntRange(1),
-    default=1024,
-    show_default=True,
-    help="Requests at once; others get status 503.",
-)
 @click.option("--cache-dir", type=click.Path(file_okay=False), help="Folder of the indices.")
-def command(corpus: str, host: str, port: int, workers: int | None, max_pending: int, cache_dir: str | None) -> None:
+def command(corpus: str, host: str, port: int, cache_dir: str | None) -> None:
     """Serve a CORPUS to many trainers, in the form of Search-R1's retrieval server."""
     try:
         from gem_tools.search.index import open_index
-        from gem_tools.search.server import RetrievalServer, serve
+        from gem_tools.search.server import serve
     except ModuleNotFoundError as error:
         message = f"gem serve-search needs the package {error.name}: pip install 'gem-tools[search]'"
         raise MissingRequirementError(message) from error
 
     index = open_index(corpus, cache_dir)
-    server = RetrievalServer(index, workers=workers or os.cpu_count() or 1, max_pending=max_pending)
 
     def started(address: str) -> None:
         click.echo(f"Serving {len(index)} passages at {address}/retrieve; Ctrl-C ends it")
@@ -58,7 +49,7 @@ def command(corpus: str, host: str, port: int, workers: int | None, max_pending:
             click.echo("gem: whoever reaches this address can read the corpus; there is no password", err=True)
 
     try:
-        asyncio.run(serve(server, host, port, started))
+        asyncio.run(serve(index, host, port, started))
     except OSError as error:
         # asyncio puts words of its own into strerror; faults of names have negative numbers.
         number = error.errno or 0
