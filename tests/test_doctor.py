@@ -77,9 +77,7 @@ def test_strict_mode_does_not_stop_the_doctor(sites: dict[str, Path]) -> None:
 
 def test_contested_ids_are_named_with_both_plugins(sites: dict[str, Path]) -> None:
     """An id that two plugins claim."""
-    conflict = (
-        "env 'fine:One-v0' is offered by both plugin 'fine' (gem-fine 1.0) and plugin 'taken_id' (gem-taken-id 1.0)"
-    )
+    conflict = "env 'fine:One-v0' is offered by plugin 'fine' (gem-fine 1.0) and plugin 'taken_id' (gem-taken-id 1.0)"
     assert found([sites["fine"], sites["taken_id"]])["broken"] == [
         f"plugin 'fine' (gem-fine 1.0): {conflict}",
         f"plugin 'taken_id' (gem-taken-id 1.0): {conflict}",

@@ -260,4 +260,4 @@ def test_info_of_a_misspelt_tool_names_it(run_gem: RunGem) -> None:
     """Where no environment has such a name."""
     done = run_gem("info", "boxx")
     assert (done.code, done.out) == (2, "")
-    assert done.err == "gem: no environment 'boxx'. Did you mean the tool 'box'? Run 'gem list'\n"
+    assert done.err == "gem: no environment 'boxx'. Did you mean 'box'? Run 'gem list'\n"

@@ -24,10 +24,10 @@ KNOWN_DISTRIBUTIONS: dict[str, dict[str, str]] = {
 """What each offers: names by kind of record, as its ``kind`` says it; environments by namespace."""
 
 
-def distributions_with(name: str, kind: str | None = None) -> list[str]:
-    """Return the distributions that offer a name, of one kind or of any; none if nobody here does."""
+def distributions_with(name: str, *kinds: str) -> list[str]:
+    """Return the distributions that offer a name, of some kinds or of any; none if nobody here does."""
     return [
         owner
         for owner, offered in KNOWN_DISTRIBUTIONS.items()
-        if any(name in names.split() for of, names in offered.items() if kind in (of, None))
+        if any(name in names.split() for kind, names in offered.items() if not kinds or kind in kinds)
     ]

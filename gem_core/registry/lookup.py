@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TypeVar
@@ -34,8 +33,12 @@ from gem_core.suggestions import did_you_mean, did_you_mean_one_of
 
 N = TypeVar("N", bound=NamedSpec)
 
-Key = tuple[str, str]
-"""A space of names, and a name in it: ``("env", "game:Mastermind-v0")``."""
+_UNKNOWN: dict[type[NamedSpec], type[UnknownNameError]] = {
+    ToolSpec: UnknownToolError,
+    WrapperSpec: UnknownWrapperError,
+    VectorBackendSpec: UnknownBackendError,
+    AgentSpec: UnknownAgentError,
+}
 
 
 class Registry:
@@ -50,11 +53,11 @@ class Registry:
     def _clear(self) -> None:
         self._plugins: list[Plugin] = []
         self._envs: dict[str, EnvSpec] = {}
-        # One space of names each for wrappers together with tools, and for every other kind.
         self._named: dict[str, dict[str, NamedSpec]] = {}
+        """Records by space of names: one for wrappers together with tools, and one for every other kind."""
         self._providers: dict[str, Plugin] = {}
-        # Ids and names that several plugins claim, each with the message of the error.
-        self._ambiguous: dict[Key, str] = {}
+        self._ambiguous: dict[tuple[str, str], str] = {}
+        """Ids and names, by space, that several plugins offer, each with the message of the error."""
 
     # Looking up.
 
@@ -63,15 +66,15 @@ class Registry:
 
         Raises:
             UnknownEnvError: No environment has this id; the message names the nearest, or the plugin to install.
-            RegistrationError: Two plugins claim the id.
+            RegistrationError: Two plugins offer the id.
         """
         if not isinstance(env_id, str):
             raise UnknownEnvError(f"an environment id is a string such as 'game:Mastermind-v0', not {env_id!r}")
-        self.raise_if_ambiguous("env", env_id)
-        record = self._envs.get(env_id)
-        if record is None:
+        self.load()
+        if env_id not in self._envs:
+            self.raise_if_ambiguous("env", env_id)
             raise UnknownEnvError(self._unknown_env(env_id))
-        return record
+        return self._envs[env_id]
 
     def env_of_folder(self, folder: Path) -> EnvSpec:
         """Return the spec of the environment that a folder belongs to; see ``EnvSpec.folder_markers``.
@@ -101,29 +104,19 @@ class Registry:
 
     def wrapper(self, name: str) -> NamedSpec:
         """Return the spec of a wrapper or tool."""
-        return self._find("wrapper", name, UnknownWrapperError)
+        return self._find(NamedSpec, WrapperSpec, name)
 
     def tool(self, name: str) -> ToolSpec:
         """Return the spec of a tool."""
-        self.raise_if_ambiguous("wrapper", name)
-        record = self._named.get("wrapper", {}).get(name)
-        if not isinstance(record, ToolSpec):
-            names = [tool.name for tool in self.specs(ToolSpec)]
-            hint = self.install_hint(name, "tool") or did_you_mean(name, names)
-            if names:
-                hint += f" There are: {', '.join(names)}."
-            elif not hint:
-                hint = " None is installed: try 'pip install gem-tools'."
-            raise UnknownToolError(f"no tool {name!r}.{hint}{self._failed_plugins()}")
-        return record
+        return self._find(ToolSpec, ToolSpec, name)
 
     def backend(self, name: str) -> VectorBackendSpec:
         """Return the spec of a vector backend."""
-        return self._find("vector backend", name, UnknownBackendError)  # type: ignore[return-value]
+        return self._find(VectorBackendSpec, VectorBackendSpec, name)
 
     def agent(self, name: str) -> AgentSpec:
         """Return the spec of an agent."""
-        return self._find("agent", name, UnknownAgentError)  # type: ignore[return-value]
+        return self._find(AgentSpec, AgentSpec, name)
 
     def provider(self, env_id: str) -> Plugin | None:
         """Return the plugin that offers an environment; None for an environment that the program registered."""
@@ -150,9 +143,10 @@ class Registry:
         records = [self._envs[env_id] for env_id in sorted(self._envs)]
         if pattern is None:
             return records
-        folded = pattern.casefold().removesuffix(":")
-        in_namespace = [record for record in records if record.namespace.casefold() == folded]
-        return in_namespace or [record for record in records if _matches(pattern, record.id)]
+        folded = pattern.casefold()
+        in_namespace = [record for record in records if record.namespace.casefold() == folded.removesuffix(":")]
+        glob = folded if any(character in folded for character in "*?[") else f"*{folded}*"
+        return in_namespace or [record for record in records if fnmatchcase(record.id.casefold(), glob)]
 
     def specs(self, kind: type[N]) -> list[N]:
         """Return the specs of one kind, such as ``ToolSpec``, in order of name."""
@@ -166,7 +160,7 @@ class Registry:
         return list(self._plugins)
 
     def raise_if_ambiguous(self, space: str, name: str) -> None:
-        """Raise if several plugins claim an id or a name.
+        """Raise if several plugins offer an id or a name.
 
         Args:
             space: ``"env"``, ``"wrapper"`` (tools too), ``"vector backend"``, ``"agent"`` or ``"command"``.
@@ -214,11 +208,10 @@ class Registry:
         Raises:
             RegistrationError: The id is taken. The same class may be registered again, as a notebook cell does.
         """
-        self.load()
+        self.raise_if_ambiguous("env", record.id)
         with self._lock:
-            self.raise_if_ambiguous("env", record.id)
             present, provider = self._envs.get(record.id), self._providers.get(record.id)
-            if present is not None and (provider is not None or not _same_entry_point(present, record)):
+            if present is not None and (provider or _place(present.entry_point) != _place(record.entry_point)):
                 raise RegistrationError(
                     f"environment {record.id!r} is registered already, by {provider or 'register()'}; "
                     "choose another id or version"
@@ -226,65 +219,47 @@ class Registry:
             self._envs[record.id] = record
 
     def _take(self, plugins: list[Plugin]) -> None:
-        """Add the specs of plugins, the core's first; an id or name that several claim is ambiguous."""
-        claims: dict[Key, list[tuple[Plugin, Record | None]]] = {}
+        """Add the specs of plugins, the core's first; an id or name that several offer is none's, or the core's."""
+        offers: dict[tuple[str, str], list[tuple[Plugin, Record]]] = {}
         for plugin in plugins:
-            if not plugin.disabled:
-                claims.setdefault(("plugin name", plugin.name), []).append((plugin, None))
-            for offered in plugin.records:
-                if isinstance(offered, RequirementSpec):  # several may need the same word; the first is asked
-                    self._named.setdefault(offered.kind, {}).setdefault(offered.name, offered)
+            for record in plugin.records:
+                key = ("env", record.id) if isinstance(record, EnvSpec) else (_space(record.kind), record.name)
+                offers.setdefault(key, []).append((plugin, record))
+        for (space, name), offered in offers.items():
+            owner, record = offered[0]
+            if len(offered) > 1 and not isinstance(record, RequirementSpec):  # several may need the same word
+                kinds = sorted({getattr(record, "kind", "env") for _, record in offered})
+                owners = " and ".join(str(plugin) for plugin, _ in offered)
+                message = f"{' or '.join(kinds)} {name!r} is offered by {owners}"
+                for plugin in dict.fromkeys(plugin for plugin, _ in offered if not plugin.is_core):
+                    plugin.conflicts.append(message)
+                if not owner.is_core:
+                    self._ambiguous[space, name] = message
                     continue
-                claims.setdefault(_key(offered), []).append((plugin, offered))
-        disputes: dict[tuple[Plugin, ...], list[str]] = {}
-        for key, claimants in claims.items():
-            owner, record = claimants[0]
-            if len(claimants) > 1:
-                parties = tuple(dict.fromkeys(plugin for plugin, _ in claimants))
-                kinds = sorted({each.kind for _, each in claimants if isinstance(each, NamedSpec)})
-                what = f"{' or '.join(kinds) or key[0]} {key[1]!r}"
-                disputes.setdefault(parties, []).append(self._dispute(key, what, parties))
-            if record is not None and key not in self._ambiguous:
-                self._store(record, owner)
-        for messages in disputes.values():
-            complain(messages[0] + (f" (and {len(messages) - 1} more)" if len(messages) > 1 else ""))
-
-    def _dispute(self, key: Key, what: str, parties: Sequence[Plugin]) -> str:
-        """Record that several plugins claim an id or a name, and warn; a name of the core stays with the core."""
-        owner, *others = map(str, parties)
-        if parties[0].is_core:
-            message = f"{what} is the core's own, and is offered by {' and '.join(others)} too"
-        elif others:
-            message = f"{what} is offered by both {' and '.join([owner, *others])}"
-        else:
-            message = f"{what} is offered twice by {owner}"
-        if not parties[0].is_core:
-            self._ambiguous[key] = message
-        for plugin in parties:
-            if not plugin.is_core:
-                plugin.conflicts.append(message)
-        return message
-
-    def _store(self, record: Record, owner: Plugin) -> None:
-        if isinstance(record, EnvSpec):
-            self._envs[record.id] = record
-            self._providers[record.id] = owner
-        else:
-            self._named.setdefault(_space(record.kind), {})[record.name] = record
+            if isinstance(record, EnvSpec):
+                self._envs[name], self._providers[name] = record, owner
+            else:
+                self._named.setdefault(space, {})[name] = record
+        told: set[str] = set()
+        for plugin in plugins:
+            new = [message for message in plugin.conflicts if message not in told]
+            told.update(new)
+            if new:
+                complain(new[0] + (f" (and {len(new) - 1} more)" if new[1:] else ""))
 
     # Error messages.
 
-    def install_hint(self, name: str, kind: str | None = None) -> str:
+    def install_hint(self, name: str, *kinds: str) -> str:
         """Return a sentence that names the plugin to install for a name, or the disabled plugin that has it.
 
         Args:
             name: Name of a record, or a namespace of environments.
-            kind: Kind of the record, or ``"namespace"``; None for any.
+            *kinds: Kinds of the record, or ``"namespace"``; any kind if none is given.
 
         Returns:
             It begins with a space; empty if no distribution of this project has the name, or if it is installed.
         """
-        owners = distributions_with(name, kind)
+        owners = distributions_with(name, *kinds)
         present = {plugin.distribution: plugin for plugin in self.plugins()}
         missing = [owner for owner in owners if owner not in present]
         if missing:
@@ -292,42 +267,44 @@ class Registry:
         disabled = [str(present[owner]) for owner in owners if present[owner].disabled]
         return f" It may belong to {', '.join(disabled)}, which GEM_PLUGINS_DISABLE skips." if disabled else ""
 
-    def _find(self, space: str, name: str, error: type[UnknownNameError]) -> NamedSpec:
+    def _find(self, wanted: type[N], kind: type[NamedSpec], name: str) -> N:
+        """Return the record of a name in the space of a kind, if it is of the class that is wanted."""
+        space = _space(kind.kind)
         self.raise_if_ambiguous(space, name)
-        records = self._named.get(space, {})
+        records = {each: record for each, record in self._named.get(space, {}).items() if isinstance(record, wanted)}
         if name in records:
             return records[name]
-        what = "wrapper or tool" if space == "wrapper" else space
-        hint = self.install_hint(name, "tool" if space == "wrapper" else space) or did_you_mean(name, records)
-        raise error(f"no {what} {name!r}.{hint} There are: {', '.join(sorted(records))}.{self._failed_plugins()}")
+        kinds = ["wrapper", "tool"] if kind is WrapperSpec else [kind.kind]
+        hint = self.install_hint(name, *kinds) or did_you_mean(name, records)
+        if records:
+            hint += f" There are: {', '.join(sorted(records))}."
+        elif not hint:
+            hint = " None is installed: try 'pip install gem-tools'."
+        raise _UNKNOWN[kind](f"no {' or '.join(kinds)} {name!r}.{hint}{self._failed_plugins()}")
 
     def _unknown_env(self, env_id: str) -> str:
+        """Return the message for an id, or for a name without a colon, as 'gem info' takes it."""
         namespace, colon, _ = env_id.partition(":")
         namespaces = sorted({record.namespace for record in self._envs.values()})
+        is_known = namespace in namespaces
+        others = [name for space, records in self._named.items() if space != "command" for name in records]
         failed = self._failed_plugins()
-        if colon and namespace not in namespaces:
-            advice = self.install_hint(namespace)
-            if not advice and not failed:
-                near = did_you_mean(env_id, self._envs) or did_you_mean(namespace, namespaces)
-                known = f" Namespaces: {', '.join(namespaces) or 'none'}."
-                advice = near or f"{known} What gem.register adds is known to its own process alone."
-            return f"no environment {env_id!r}.{advice}{failed} Run 'gem list'"
-        candidates = [name for name in self._envs if not colon or name.startswith(f"{namespace}:")]
-        hint = "" if colon else self.install_hint(env_id)  # 'gem info' takes the names of all kinds
-        hint = hint or did_you_mean(env_id, candidates) or did_you_mean(env_id, self._envs)
-        if not hint:
-            variants = sorted(name for name in self._envs if name.startswith(env_id))[:3] if env_id else []
-            hint = did_you_mean_one_of(variants)
-        if not hint and not colon:
-            kinds = (ToolSpec, WrapperSpec, AgentSpec, VectorBackendSpec)
-            hints = ((kind.kind, did_you_mean(env_id, (each.name for each in self.specs(kind)))) for kind in kinds)
-            hint = next((text.replace("mean", f"mean the {kind}", 1) for kind, text in hints if text), "")
-        return f"no environment {env_id!r}.{hint}{failed} Run 'gem list{f' {namespace}' if colon else ''}'"
+        hint = "" if colon and is_known else self.install_hint(namespace)
+        if not hint and (is_known or not failed):
+            own = [each for each in self._envs if each.startswith(f"{namespace}:")]
+            hint = did_you_mean(env_id, own) or did_you_mean(env_id, [*self._envs, *([] if colon else others)])
+        if not hint and is_known:
+            hint = did_you_mean_one_of([each for each in sorted(self._envs) if each.startswith(env_id)][:3])
+        if not hint and colon and not is_known and not failed:
+            known = f" Namespaces: {', '.join(namespaces) or 'none'}."
+            hint = did_you_mean(namespace, namespaces) or (
+                f"{known} What gem.register adds is known to its own process alone."
+            )
+        return f"no environment {env_id!r}.{hint}{failed} Run 'gem list{f' {namespace}' if is_known else ''}'"
 
     def _failed_plugins(self) -> str:
-        failed = [plugin for plugin in self._plugins if plugin.failure is not None]
-        causes = "; ".join(f"{plugin}: {plugin.failure.error}" for plugin in failed if plugin.failure)
-        return f" It may belong to a plugin that failed: {causes}." if failed else ""
+        causes = "; ".join(f"{plugin}: {plugin.failure.error}" for plugin in self._plugins if plugin.failure)
+        return f" It may belong to a plugin that failed: {causes}." if causes else ""
 
 
 _registry = Registry()
@@ -338,27 +315,11 @@ def registry() -> Registry:
     return _registry
 
 
-def _key(record: Record) -> Key:
-    return ("env", record.id) if isinstance(record, EnvSpec) else (_space(record.kind), record.name)
+def _place(entry_point: EntryPoint) -> str:
+    if isinstance(entry_point, str):
+        return entry_point
+    return f"{entry_point.__module__}:{getattr(entry_point, '__qualname__', repr(entry_point))}"
 
 
 def _space(kind: str) -> str:
     return "wrapper" if kind == "tool" else kind
-
-
-def _matches(pattern: str, env_id: str) -> bool:
-    pattern, folded = pattern.casefold(), env_id.casefold()
-    if any(character in pattern for character in "*?["):
-        return fnmatchcase(folded, pattern)
-    return pattern in folded
-
-
-def _same_entry_point(first: EnvSpec, second: EnvSpec) -> bool:
-    def name(entry_point: EntryPoint) -> object:
-        if isinstance(entry_point, str):
-            return entry_point
-        qualified = getattr(entry_point, "__qualname__", "<lambda>")
-        # Two functions without a name are two functions.
-        return entry_point if "<lambda>" in qualified else (getattr(entry_point, "__module__", None), qualified)
-
-    return name(first.entry_point) == name(second.entry_point)

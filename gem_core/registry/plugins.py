@@ -1,8 +1,7 @@
 """The plugin loader: every installed plugin is found, loaded and asked, and a broken one breaks nothing else.
 
-pluggy's own ``load_setuptools_entrypoints`` stops at the first plugin that fails, ignores a hook with a misspelt name,
-and loses everyone's results when one hook raises. Here each plugin is loaded and called behind its own guard, and its
-records are taken all or none.
+pluggy's own ``load_setuptools_entrypoints`` stops at the first plugin that fails, and ignores a hook with a misspelt
+name. Here each plugin is loaded and called behind its own guard, and its records are taken all or none.
 """
 
 from __future__ import annotations
@@ -70,7 +69,7 @@ class Plugin:
         records: The records that it offers; empty after a failure.
         failure: The failure, if it offers nothing for one.
         disabled: Whether ``GEM_PLUGINS_DISABLE`` names it.
-        conflicts: One line for each id or name that another plugin offers too, so that neither can be made.
+        conflicts: One line for each id or name that is offered by another plugin too, or twice.
     """
 
     entry_point: EntryPoint
@@ -107,19 +106,21 @@ def load_plugins() -> list[Plugin]:
     """
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
-    found = sorted(_find(), key=lambda point: (point.name, point.value))
-    disabled = _disabled_names()
-    names = {name for point in found for name in (point.name, _plugin_of(point).distribution)}
+    found = [_plugin_of(point) for point in sorted(_find(), key=lambda point: (point.name, point.value))]
+    disabled = {name.strip() for name in os.environ.get("GEM_PLUGINS_DISABLE", "").split(",") if name.strip()}
+    names = {name for plugin in found for name in (plugin.name, plugin.distribution)}
     for name in sorted(disabled - names):
         hint = did_you_mean(name, names)
         logger.warning("gem: GEM_PLUGINS_DISABLE names %r, and no such plugin is installed.%s", name, hint)
 
-    plugins = [_load(EntryPoint("core", BUILTIN, hookspecs.ENTRY_POINT_GROUP), manager)]
-    for point in _without_copies(found):
-        plugin = _plugin_of(point)
-        plugin.disabled = not disabled.isdisjoint((plugin.name, plugin.distribution))
-        plugins.append(plugin if plugin.disabled else _load(point, manager))
-    return plugins
+    plugins: dict[tuple[str, str, str], Plugin] = {}  # an editable install can show one plugin twice on one path
+    for plugin in (_plugin_of(EntryPoint("core", BUILTIN, hookspecs.ENTRY_POINT_GROUP)), *found):
+        plugins.setdefault((plugin.name, plugin.entry_point.value, plugin.distribution), plugin)
+    for plugin in plugins.values():
+        plugin.disabled = not (plugin.is_core or disabled.isdisjoint((plugin.name, plugin.distribution)))
+        if not plugin.disabled:
+            _load(plugin, manager)
+    return list(plugins.values())
 
 
 def complain(line: str, cause: BaseException | None = None) -> None:
@@ -147,27 +148,29 @@ def _find() -> list[EntryPoint]:
     return found
 
 
-def _load(point: EntryPoint, manager: pluggy.PluginManager) -> Plugin:
-    plugin = _plugin_of(point)
+def _load(plugin: Plugin, manager: pluggy.PluginManager) -> None:
+    """Import a plugin and take its records; a failure is kept as data."""
     started = time.perf_counter()
     stage = "load"
-    module: Any = None
-    cause: BaseException | None = None
     try:
-        module = point.load()
+        module: Any = plugin.entry_point.load()
         stage = "hooks"
         _check_hooks(module)
         manager.register(module, name=f"{plugin.distribution}:{plugin.name}")
         manager.check_pending()
         stage = "call"
-        plugin.records = _call_hooks(module, manager)
+        # The call is ours: pluggy's would drop a None without a word, and lose everyone's records when one hook raises.
+        plugin.records = [
+            record
+            for hook, record_type in RECORD_TYPES.items()
+            if hasattr(module, hook)
+            for record in _checked(hook, record_type, getattr(module, hook)())
+        ]
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a plugin does must not break the others
-        cause = error
         plugin.failure = PluginFailure(stage, one_line(error), traceback.format_exc())
-    plugin.load_time_s = time.perf_counter() - started
-    if plugin.failure is not None:
-        complain(f"{plugin} failed at stage '{plugin.failure.stage}': {plugin.failure.error}", cause)
-    return plugin
+        complain(f"{plugin} failed at stage '{stage}': {plugin.failure.error}", error)
+    finally:
+        plugin.load_time_s = time.perf_counter() - started
 
 
 def _plugin_of(point: EntryPoint) -> Plugin:
@@ -182,47 +185,19 @@ def _plugin_of(point: EntryPoint) -> Plugin:
         return Plugin(point, "unnamed", "?")
 
 
-def _without_copies(points: Iterable[EntryPoint]) -> list[EntryPoint]:
-    # An editable install can show the same distribution twice on one path.
-    unique: dict[tuple[str, str, str], EntryPoint] = {}
-    for point in points:
-        unique.setdefault((point.name, point.value, _plugin_of(point).distribution), point)
-    return list(unique.values())
-
-
 def _check_hooks(module: Any) -> None:
     """Reject what pluggy would silently ignore: unknown hook names, and hooks that lack their mark."""
-    marked = f"{hookspecs.PROJECT}_impl"
     for name in dir(module):
         function = getattr(module, name, None)
-        if not inspect.isroutine(function):
+        is_marked = inspect.isroutine(function) and hasattr(function, f"{hookspecs.PROJECT}_impl")
+        if not is_marked and not (inspect.isroutine(function) and name.startswith(("gem_register_", "gem_add_"))):
             continue
-        options = getattr(function, marked, None)
-        if options is not None:
-            hook = options.get("specname") or name
-            if hook not in RECORD_TYPES:
-                raise RegistrationError(
-                    f"no hook is called {hook!r}.{did_you_mean(hook, RECORD_TYPES)} See gem_core/registry/hookspecs.py"
-                )
-            if options.get("wrapper") or options.get("hookwrapper"):
-                raise RegistrationError(f"{name!r} wraps the hooks of others; a plugin only offers records of its own")
-        elif name in RECORD_TYPES:
-            raise RegistrationError(f"{name!r} is not marked; put '@gem_core.hookimpl' above it")
-        elif name.startswith(("gem_register_", "gem_add_")):
+        if name not in RECORD_TYPES:
             raise RegistrationError(
-                f"{name!r} looks like a hook, but no hook is called so.{did_you_mean(name, RECORD_TYPES)} "
-                "See gem_core/registry/hookspecs.py"
+                f"no hook is called {name!r}.{did_you_mean(name, RECORD_TYPES)} See gem_core/registry/hookspecs.py"
             )
-
-
-def _call_hooks(module: Any, manager: pluggy.PluginManager) -> list[Record]:
-    # pluggy has checked names and arguments; the call is ours, because pluggy's would drop a None without a word.
-    records: list[Record] = []
-    for hook, record_type in RECORD_TYPES.items():
-        for implementation in getattr(manager.hook, hook).get_hookimpls():
-            if implementation.plugin is module:
-                records.extend(_checked(hook, record_type, implementation.function()))
-    return records
+        if not is_marked:
+            raise RegistrationError(f"{name!r} is not marked; put '@gem_core.hookimpl' above it")
 
 
 def _checked(hook: str, record_type: type[Record], offered: Any) -> list[Record]:
@@ -235,10 +210,6 @@ def _checked(hook: str, record_type: type[Record], offered: Any) -> list[Record]
                 f"{hook} must return records of type {record_type.__name__}, not {reprlib.repr(record)}"
             )
     return records
-
-
-def _disabled_names() -> set[str]:
-    return {name.strip() for name in os.environ.get("GEM_PLUGINS_DISABLE", "").split(",") if name.strip()}
 
 
 def one_line(error: BaseException) -> str:
