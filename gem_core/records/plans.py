@@ -6,15 +6,13 @@ proportions, a group of episodes shares one start, and a run gives the same epis
 
 from __future__ import annotations
 
-import copy
 import math
 import threading
-from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, cast, overload
+from typing import Any, cast
 
 from gem_core.env.seeding import checked_seed, fresh_seed, stable_hash
 from gem_core.errors import ArgumentError
@@ -103,13 +101,8 @@ class EpisodeQueue:
         self._plan = plan
         self._is_done: Callable[[EpisodeStart], bool] = lambda start: False
         self._lock = threading.Lock()
-        # The position in the plan, as plain values: an interrupt at any instruction loses at most the episode that was
-        # being drawn, while a generator that is interrupted is over.
         self._begun = False
-        self._rest = enumerate(() if plan is None or isinstance(plan, Sequence) else plan)
-        self._next_index = 0
-        self._item: tuple[int, PlanItem] | None = None
-        self._next_repeat = 0
+        self._rest = self._starts(plan or ())
         self._counts: Counter[Any] = Counter()
         """Items drawn so far, by environment; without a plan by slot."""
 
@@ -155,52 +148,29 @@ class EpisodeQueue:
             )
         return EpisodeQueue(self._plan, self.seed if seed is None else seed)
 
-    def continued(self) -> EpisodeQueue:
-        """Return a queue that continues at this position, with a new lock: an interrupt may leave the old one held."""
-        other = copy.copy(self)
-        other._lock = threading.Lock()
-        return other
-
     def draw(self, slot: int) -> EpisodeStart | None:
         """Return what the next episode of a slot starts from; None when the plan is exhausted."""
         with self._lock:
             self._begun = True
             if self.planned:
-                while (start := self._next_of_plan()) is not None and self._is_done(start):
-                    pass
-                return start
+                return next((start for start in self._rest if not self._is_done(start)), None)
             count = self._counts[slot]
             self._counts[slot] += 1
             seed = stable_hash(self.seed, "episode", slot, count)
             return EpisodeStart(_NO_ITEM, (slot, count), 0, seed, self.seed, count)
 
-    def _next_of_plan(self) -> EpisodeStart | None:
-        if self._item is None or self._next_repeat == self._item[1].repeat:
-            self._item = None
-            found = self._next_item()
-            if found is None:
-                return None
-            self._next_repeat = 0
-            self._item = found[0], _checked_item(*found)
-            self._counts[_environment(self._item[1])] += 1
-        repeat = self._next_repeat
-        self._next_repeat = repeat + 1
-        start = self._start(*self._item, repeat)
-        start.number = self._counts[_environment(start.item)] - 1
-        return start
+    def _starts(self, plan: Iterable[PlanItem]) -> Iterator[EpisodeStart]:
+        for index, given in enumerate(plan):
+            item = _checked_item(index, given)
+            environment = _environment(item)
+            number = self._counts[environment]
+            self._counts[environment] += 1
+            for repeat in range(item.repeat):
+                yield self._start(index, item, repeat, number)
 
-    def _next_item(self) -> tuple[int, PlanItem] | None:
-        if not isinstance(self._plan, Sequence):
-            return next(self._rest, None)
-        index = self._next_index
-        if index >= len(self._plan):
-            return None
-        self._next_index = index + 1
-        return index, self._plan[index]
-
-    def _start(self, index: int, item: PlanItem, repeat: int) -> EpisodeStart:
+    def _start(self, index: int, item: PlanItem, repeat: int, number: int = 0) -> EpisodeStart:
         seed = stable_hash(self.seed, "episode", index) if item.seed is None else item.seed
-        return EpisodeStart(item, (index,), repeat, seed, self.seed)
+        return EpisodeStart(item, (index,), repeat, seed, self.seed, number)
 
 
 def _environment(item: PlanItem) -> Any:
@@ -239,32 +209,26 @@ class LazyPlan(Sequence[PlanItem]):
     def __len__(self) -> int:
         return len(self._places)
 
-    @overload
-    def __getitem__(self, place: int) -> PlanItem: ...
-    @overload
-    def __getitem__(self, place: slice) -> list[PlanItem]: ...
-    def __getitem__(self, place: int | slice) -> PlanItem | list[PlanItem]:
-        if isinstance(place, slice):
-            return [self._item(each) for each in self._places[place]]
-        return self._item(self._places[place])
+    def __getitem__(self, place: Any) -> Any:
+        chosen = self._places[place]
+        return [self._item(each) for each in chosen] if isinstance(chosen, range) else self._item(chosen)
 
 
 def interleaved(parts: Sequence[Sequence[PlanItem]]) -> Sequence[PlanItem]:
     """Return a plan that takes the items of several in turn, until each is exhausted."""
     if len(parts) == 1:
         return parts[0]
-    lengths = [len(part) for part in parts]
-
-    def before(row: int) -> int:
-        """Return how many items all parts have before their item number ``row``."""
-        return sum(min(length, row) for length in lengths)
 
     def item(place: int) -> PlanItem:
-        row = bisect_right(range(max(lengths)), place, key=before) - 1
-        present = [part for part in parts if len(part) > row]
-        return present[place - before(row)][row]
+        present, row = list(parts), 0
+        while True:  # from one row to the next at which a part is exhausted
+            end = min(map(len, present))
+            if place < (end - row) * len(present):
+                return present[place % len(present)][row + place // len(present)]
+            place -= (end - row) * len(present)
+            present, row = [part for part in present if len(part) > end], end
 
-    return LazyPlan(sum(lengths), item)
+    return LazyPlan(sum(map(len, parts)), item)
 
 
 def count_plan(

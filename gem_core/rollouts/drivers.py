@@ -6,7 +6,7 @@ import asyncio
 import inspect
 import itertools
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AsyncExitStack, ExitStack, contextmanager, suppress
+from contextlib import AsyncExitStack, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict, TypeVar, Unpack, overload
@@ -21,7 +21,7 @@ from gem_core.records.episode import Episode
 from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
 from gem_core.rollouts.agent import Agent, as_agent, close_agent, is_asynchronous, load_agent, prepare_agent
-from gem_core.rollouts.loop import Players, Run, run_slots
+from gem_core.rollouts.loop import Players, Run
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
 from gem_core.rollouts.seating import Seated, Seating, as_seating, seated
 from gem_core.vector.backends import make_vector
@@ -119,7 +119,9 @@ def rollout(
     An error that stops a run is raised after the episodes that finished before it.
     """
     players, loaded = _players(agent, agents)
-    return _drive(_Run(env, players, loaded, plan, episodes, seed, num_envs, backend, max_requests, resume, progress))
+    return _episodes(
+        _Options(env, players, loaded, plan, episodes, seed, num_envs, backend, max_requests, resume, progress)
+    )
 
 
 @overload
@@ -161,8 +163,8 @@ def arollout(
         progress: Show the run's progress.
     """
     players, loaded = _players(agent, agents)
-    return _episodes(
-        _Run(env, players, loaded, plan, episodes, seed, num_envs, backend, max_requests, resume, progress)
+    return _episodes_async(
+        _Options(env, players, loaded, plan, episodes, seed, num_envs, backend, max_requests, resume, progress)
     )
 
 
@@ -182,7 +184,7 @@ def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[Pla
 
 
 @dataclass
-class _Run:
+class _Options:
     """The arguments of one call of ``rollout``."""
 
     env: Environments
@@ -253,68 +255,63 @@ class _Run:
         finished.leave_out_of(queue)
         return queue
 
-    @contextmanager
-    def counting(self, queue: EpisodeQueue, finished: FinishedEpisodes) -> Iterator[Callable[[], None]]:
-        """Show progress inside this context; yield a function to call for each finished episode."""
+    def counting(self, at_end: ExitStack | AsyncExitStack, queue: EpisodeQueue, done: int) -> Callable[[], None]:
+        """Show the progress until the end; return a function to call for each episode that finishes."""
         if not self.progress:
-            yield lambda: None
-            return
-        total, counts = queue.total, itertools.count(len(finished))
-        with Progress(total, "episodes", quiet=callable(self.progress)) as bar:
-            report = self.progress if callable(self.progress) else lambda count, total: bar.advance(count)
-            report(next(counts), total)
-            yield lambda: report(next(counts), total)
+            return lambda: None
+        total, counts = queue.total, itertools.count(done)
+        bar = at_end.enter_context(Progress(total, "episodes", quiet=callable(self.progress)))
+        report = self.progress if callable(self.progress) else lambda count, total: bar.advance(count)
+        report(next(counts), total)
+        return lambda: report(next(counts), total)
 
 
-def _drive(run: _Run) -> Iterator[Record]:
-    """Yield the episodes of ``_episodes`` in plain code."""
-    door = Door()
-    episodes = _episodes(run, door)
-
-    async def next_episode() -> Record | None:
-        return await anext(episodes, None)
-
+def _episodes(options: _Options) -> Iterator[Record]:
+    """Yield the episodes of ``rollout``."""
+    door, at_end = Door(), ExitStack()
     try:
-        while (record := door.run(next_episode())) is not None:
-            yield record
+        finished = finished_episodes(options.resume)
+        vector = options.vector(plain=True)
+        if vector is not options.env:
+            at_end.callback(vector.close)
+        at_end.callback(options.close_loaded)
+        for agent in options.agents:
+            prepare_agent(agent)
+        queue = options.queue(vector, finished)
+        count = options.counting(at_end, queue, len(finished))
+        is_plain = not any(map(is_asynchronous, options.agents))
+        run = Run(vector, queue, options.players, options.max_requests, door.here, is_plain)
+        at_end.callback(lambda: door.run(run.stop()))
+        door.run(run.begin())
+        while (episode := door.run(run.next_record())) is not None:
+            count()
+            yield episode
     finally:
-        if on_background_loop():  # collected there, where nothing can wait
+        if on_background_loop():  # the generator is collected there, where nothing can wait
             door.interrupted = True
-            run_or_schedule(episodes.aclose())
-        elif door.interrupted:
-            with suppress(RuntimeError):  # a second interrupt may have left them running
-                door.run(episodes.aclose())
+            run_or_schedule(in_thread(at_end.close))
         else:
-            door.run(episodes.aclose())
+            at_end.close()
 
 
-async def _episodes(run: _Run, door: Door | None = None) -> AsyncGenerator[Record]:
-    """Yield the episodes of a run.
-
-    Args:
-        run: The arguments of ``rollout``.
-        door: Of plain code that waits for them; None in a coroutine.
-    """
-    here = door.here if door is not None else _soon
-    aside = door.here if door is not None else in_thread
-    finished = await aside(finished_episodes, run.resume)
-    vector: VectorEnv = await aside(lambda: run.vector(plain=door is not None))
+async def _episodes_async(options: _Options) -> AsyncGenerator[Record]:
+    """Yield the episodes of ``arollout``; what may block for long is done in a thread."""
+    finished = await in_thread(finished_episodes, options.resume)
+    vector: VectorEnv = await in_thread(lambda: options.vector(plain=False))
     async with AsyncExitStack() as at_end:
-        if vector is not run.env:
-            at_end.push_async_callback(aside, vector.close)
-        at_end.push_async_callback(aside, run.close_loaded)
-        for agent in run.agents:
-            if door is not None:
-                await door.here(prepare_agent, agent)
-            elif inspect.isawaitable(prepared := getattr(agent, "prepare", lambda: None)()):
+        if vector is not options.env:
+            at_end.push_async_callback(in_thread, vector.close)
+        at_end.push_async_callback(in_thread, options.close_loaded)
+        for agent in options.agents:
+            prepared = getattr(agent, "prepare", lambda: None)()
+            if inspect.isawaitable(prepared):
                 await prepared
-        queue = await aside(run.queue, vector, finished)
-        count = at_end.enter_context(run.counting(queue, finished))
-        await vector.begin_rollout()
-        plain = door is not None and not any(map(is_asynchronous, run.agents))
-        playing = run_slots(Run(vector, queue, run.players, run.max_requests, here, plain))
-        at_end.push_async_callback(playing.aclose)
-        async for episode in playing:
+        queue = await in_thread(options.queue, vector, finished)
+        count = options.counting(at_end, queue, len(finished))
+        run = Run(vector, queue, options.players, options.max_requests, _soon, is_plain=False)
+        at_end.push_async_callback(run.stop)
+        await run.begin()
+        while (episode := await run.next_record()) is not None:
             count()
             yield episode
 

@@ -17,10 +17,9 @@ from gem_core.env.wrapper import concurrency_of, most_demanding, reset_async
 from gem_core.errors import ArgumentError, EnvFaultError
 from gem_core.failures import author_frames, failure_info
 from gem_core.making.environment import make_from
-from gem_core.records.episode import Episode
 from gem_core.records.plans import EpisodeStart, PlanItem
 from gem_core.registry.lookup import registry
-from gem_core.rollouts.agent import Agent, AgentTraits, close_agent, is_asynchronous, load_agent
+from gem_core.rollouts.agent import Agent, close_agent, is_asynchronous, load_agent
 from gem_core.rollouts.seat import RunningSeat, new_episode
 from gem_core.rollouts.seating import Seated, seated
 from gem_core.types import Concurrency, Info, ResetResult, Response, StepResult
@@ -204,20 +203,15 @@ class SingleAgentEnv(SeatEnv):
 
     def _note(self, agent: str, result: StepResult) -> None:
         """Add the result of a step to the episode of another seat."""
-        observation, reward, terminated, truncated, info = result
-        running = self._running.get(agent)
-        if running is not None:
-            running.add(reward, terminated, truncated, observation, info)
+        if agent in self._running:
+            self._running[agent].add(*result)
             return
-        described = {"id": self._name, "kwargs": {}}
+        observation, reward, _, _, info = result
         seed = self.np_random_seed
         start = EpisodeStart(PlanItem(), (seed,), 0, seed, seed)
-        episode = new_episode(described, start, observation, info)
-        episode.seat, episode.first_reward = agent, reward
-        self._running[agent] = self._running_seat(agent, episode)
-
-    def _running_seat(self, agent: str, episode: Episode) -> RunningSeat:
-        return RunningSeat(episode, AgentTraits.of(self._player(agent)), partial(self._draw_for, agent))
+        record = new_episode({"id": self._name, "kwargs": {}}, start, observation, info)
+        record.seat, record.first_reward = agent, reward
+        self._running[agent] = RunningSeat(record, seated(self._player(agent)), partial(self._draw_for, agent))
 
     # Asking the others.
 
@@ -230,7 +224,7 @@ class SingleAgentEnv(SeatEnv):
         running = self._running[agent]
         try:
             answer: Any = self._player(agent)(running.conversation.sent(), running.context)
-            return await running.take(on_library_loop(answer) if inspect.isawaitable(answer) else answer)
+            return await running.read_answer(on_library_loop(answer) if inspect.isawaitable(answer) else answer)
         except (Exception, SystemExit) as error:
             problem = f"the agent at {agent!r} failed: {type(error).__name__}: {error}"
             raise _OpponentError(problem[:500]) from error
