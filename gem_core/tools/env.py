@@ -116,8 +116,8 @@ class ToolEnv(Wrapper):
         """Close the sessions of the episode that is over."""
         self._live = False
         self._uses = self._successes = self._failures = 0
-        sessions = self._sessions.take()
-        return self._sessions.finished(self._sessions.close_all(sessions)) if sessions else None
+        closing = self._sessions.take()
+        return self._sessions.finished(closing) if closing else None
 
     def after_reset(self, result: ResetResult) -> ResetResult:
         """Explain the tools."""

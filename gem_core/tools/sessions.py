@@ -10,10 +10,12 @@ import weakref
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar, cast
+from functools import partial
+from typing import Any, TypeVar
 
-from gem_core.background import in_thread, run_or_schedule, run_without_loop
+from gem_core.background import in_thread, run_or_schedule, run_without_loop, within
 from gem_core.env.spaces import is_part
+from gem_core.env.wrapper import most_demanding
 from gem_core.tools.tool import Tool, ToolResult
 from gem_core.types import Concurrency
 
@@ -57,8 +59,9 @@ class ToolSessions:
         """Whether calls have to be awaited on the library's loop."""
         self.open: dict[str, Any] = {}
         """The open sessions, by their keys."""
-        # Also runs when the environment is collected and when the interpreter exits.
-        self._finalizer = weakref.finalize(self, _close_now, self.holders, self.open, self.on_loop, timeout_s)
+        self.close = partial(_close_now, self.holders, self.open, self.on_loop, timeout_s)
+        """Closes the open sessions, from plain code."""
+        weakref.finalize(self, self.close)  # also when the interpreter exits
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ToolSessions:
         copied = ToolSessions(copy.deepcopy(self._tools, memo), self.timeout_s)
@@ -113,47 +116,33 @@ class ToolSessions:
         def tidy(_: asyncio.Task[ToolResult]) -> None:
             _abandoned_calls[type(tool), tool.name] -= 1
             if attempt.opened:
-                run_or_schedule(_close_all({tool.name: tool}, {tool.name: attempt.session}, True, self.timeout_s))
+                run_or_schedule(_close_all({tool.name: tool}, {tool.name: attempt.session}, self.timeout_s))
 
         running.add_done_callback(tidy)
         if inspect.iscoroutinefunction(tool.call):
             running.cancel()  # what runs in a thread cannot be stopped: its task goes on until the thread ends
 
     async def _run(self, tool: Tool, method: Callable[..., Any], *args: Any) -> Any:
-        return await _run(self.on_loop, self.timeout_s is not None, tool, method, *args)
+        return await _run(tool, self.timeout_s is not None, method, *args)
 
-    def take(self) -> dict[str, Any]:
-        """Return the open sessions, which are no longer this episode's."""
+    def take(self) -> Coroutine[Any, Any, None] | None:
+        """Return a coroutine that closes the open sessions, which are no longer this episode's; None without any."""
         taken = dict(self.open)
         self.open.clear()
-        return taken
-
-    async def close_all(self, sessions: Mapping[str, Any]) -> None:
-        """Close sessions that were taken."""
-        await _close_all(self.holders, sessions, self.on_loop, self.timeout_s)
-
-    def close(self) -> None:
-        """Close the open sessions, from plain code."""
-        _close_now(self.holders, self.open, self.on_loop, self.timeout_s)
+        return _close_all(self.holders, taken, self.timeout_s) if taken else None
 
     def finished(self, coroutine: Coroutine[Any, Any, T]) -> T | Coroutine[Any, Any, T]:
-        """Return what a coroutine of this class returns, or the coroutine where it has to be awaited."""
+        """Return the result of a coroutine of this class, or the coroutine if it has to be awaited."""
         return coroutine if self.on_loop else run_without_loop(coroutine, _WAITED)
 
 
 def concurrency_of_tools(tools: Iterable[Tool], *, limited: bool = False) -> Concurrency:
     """Return the concurrency that a set of tools requires."""
-    wanted = {"async" if _has_coroutines(tool) else tool.concurrency for tool in tools}
-    if limited:
-        wanted.add("async")
-    for need in ("process", "async", "thread"):
-        if need in wanted:
-            return cast("Concurrency", need)
-    return "inline"
-
-
-def _has_coroutines(tool: Tool) -> bool:
-    return any(map(inspect.iscoroutinefunction, (tool.call, tool.open, tool.close)))
+    needs: list[Concurrency] = ["async"] if limited else []
+    for tool in tools:
+        methods = tool.call, tool.open, tool.close
+        needs.append("async" if any(map(inspect.iscoroutinefunction, methods)) else tool.concurrency)
+    return most_demanding("inline", *needs)
 
 
 def _as_result(tool: Tool, outcome: Any) -> ToolResult:
@@ -164,46 +153,29 @@ def _as_result(tool: Tool, outcome: Any) -> ToolResult:
     raise TypeError(f"{tool.name} returned {type(content).__name__}, not text, content parts or a ToolResult of them")
 
 
-async def _run(on_loop: bool, limited: bool, tool: Tool, method: Callable[..., Any], *args: Any) -> Any:
-    """Run a method of a tool; on the loop, that of a tool that blocks, or that could not be given up, in a thread."""
-    blocks = (limited or tool.concurrency != "inline") and not inspect.iscoroutinefunction(tool.call)
-    if on_loop and blocks and not inspect.iscoroutinefunction(method):
-        return await _await_if_needed(await in_thread(method, *args))
-    return await _await_if_needed(method(*args))
-
-
-async def _await_if_needed(value: Any) -> Any:
+async def _run(tool: Tool, limited: bool, method: Callable[..., Any], *args: Any) -> Any:
+    """Run a method of a tool; one that blocks, or that could not be given up otherwise, in a thread."""
+    blocks = limited or tool.concurrency != "inline"
+    if blocks and not any(map(inspect.iscoroutinefunction, (tool.call, method))):
+        value = await in_thread(method, *args)
+    else:
+        value = method(*args)
     return await value if inspect.isawaitable(value) else value
 
 
-async def _close_all(
-    tools: Mapping[str, Tool], sessions: Mapping[str, Any], on_loop: bool, timeout_s: float | None
-) -> None:
+async def _close_all(tools: Mapping[str, Tool], sessions: Mapping[str, Any], timeout_s: float | None) -> None:
     for name, session in sessions.items():
-        closing = _close_one(tools[name], session, on_loop, timeout_s is not None)
-        if timeout_s is None:
-            await closing
-            continue
-        running = asyncio.ensure_future(closing)
-        await asyncio.wait({running}, timeout=timeout_s)
-        if not running.done():
-            running.cancel()
-            logger.warning("gem: closing the session of tool %r took more than %g s", name, timeout_s)
-
-
-async def _close_one(tool: Tool, session: Any, on_loop: bool, limited: bool) -> None:
-    try:
-        await _run(on_loop, limited, tool, tool.close, session)
-    except (Exception, SystemExit):
-        logger.warning("gem: closing the session of tool %r failed", tool.name, exc_info=True)
+        closing = _run(tools[name], timeout_s is not None, tools[name].close, session)
+        try:
+            await (closing if timeout_s is None else within(timeout_s, closing))
+        except (Exception, SystemExit):
+            logger.warning("gem: closing the session of tool %r failed", name, exc_info=True)
 
 
 def _close_now(tools: Mapping[str, Tool], sessions: dict[str, Any], on_loop: bool, timeout_s: float | None) -> None:
     taken = dict(sessions)
     sessions.clear()
-    if taken:
-        closing = _close_all(tools, taken, on_loop, timeout_s)
-        if on_loop:
-            run_or_schedule(closing)
-        else:
-            run_without_loop(closing, _WAITED)
+    if taken and on_loop:
+        run_or_schedule(_close_all(tools, taken, timeout_s))
+    elif taken:
+        run_without_loop(_close_all(tools, taken, timeout_s), _WAITED)
