@@ -11,6 +11,7 @@ from gem_core.errors import EpisodeFileError
 from gem_core.records import ImageFolder, Record
 from gem_eval.show.text import escaped
 from gem_eval.turns import (
+    Block,
     Part,
     TurnView,
     episodes_of,
@@ -120,14 +121,14 @@ def _plain(value: Any, place: Place, shorten: Shorten) -> Any:
         return value if abs(value) < 1e300 else 0.0
     if isinstance(value, list):
         return [_plain(part, (*place, number), shorten) for number, part in enumerate(value)]
-    if isinstance(value, dict | Part | TurnView):
+    if isinstance(value, dict | Part | Block | TurnView):
         parts = {_name(name): _plain(part, (*place, name), shorten) for name, part in _named(value).items()}
         return {**parts, "rewardText": f"{value.reward:g}"} if isinstance(value, TurnView) else parts
     return value
 
 
 def _named(value: Any) -> dict[str, Any]:
-    return value if isinstance(value, dict) else vars(value) if isinstance(value, Part | TurnView) else {}
+    return value if isinstance(value, dict) else vars(value) if isinstance(value, Part | Block | TurnView) else {}
 
 
 def _name(name: object) -> str:

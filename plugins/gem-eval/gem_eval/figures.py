@@ -1,7 +1,8 @@
-"""Scores, differences and p-values as tables and reports show them."""
+"""Scores, differences, p-values, times and amounts as tables and reports show them."""
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from gem_core.cli import counted
@@ -62,3 +63,20 @@ def change_bounds(low: float | None, high: float | None, metric: Metric) -> str:
 def p_value(p: float | None) -> str:
     """Return a p-value."""
     return NONE if p is None else "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def amount(name: str, value: float | None) -> str:
+    """Return a number: of ``"cost"`` as dollars, of ``"seconds"`` as it is said (45 s, 12 min, 3.5 h)."""
+    if value is None:
+        return NONE
+    if name == "cost":
+        return f"${value:,.2f}" if value >= 1 else f"${value:.3g}"
+    if name == "seconds" and value >= 100:
+        return f"{value / 60:.0f} min" if value < 100 * 60 else f"{value / 3600:.1f} h"
+    shown = f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return f"{shown} s" if name == "seconds" else shown
+
+
+def moment(seconds: float) -> str:
+    """Return a time since 1970 as a date."""
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M UTC")

@@ -40,35 +40,51 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Block:
+    """A labelled piece of a turn.
+
+    Args:
+        label: ``observation``, ``reasoning`` (taken out of the response by the server), ``response``, ``tool call``
+            (``name(arguments)``), ``feedback`` (if it is not the next observation), or ``error`` of the machinery.
+        parts: What it says.
+        aside: What the server reported of a response: model, tokens, why it stopped.
+    """
+
+    label: str
+    parts: list[Part]
+    aside: str = ""
+
+    @property
+    def text(self) -> str:
+        """What it says, without what the observation before said already."""
+        return text_of(part for part in self.parts if not part.repeated)
+
+    @property
+    def repeated(self) -> int:
+        """Number of characters that the observation before said already."""
+        return sum(len(part.text) for part in self.parts if part.repeated)
+
+
+@dataclass(frozen=True)
 class TurnView:
-    """What is shown of a turn.
+    """A turn, as every rendering shows it: ``gem show``, the pages, and the report.
 
     Args:
         number: From 1; of several agents, that of the step in which it acted.
-        observation: What was answered.
-        response: The text of the response.
-        reasoning: Thinking that the server took out of it.
-        calls: Native tool calls, each as ``name(arguments)``.
-        reported: What else the server reported, in words: model, tokens, why it stopped.
+        blocks: What the agent saw and said.
         reward: Reward of the turn.
         flags: ``terminated``, ``truncated`` and ``cut off at the token limit``, where they hold.
-        feedback: What the environment said to it, where that is not the next observation.
-        error: What failed in the machinery.
-        rest: The rest of the info, as plain JSON.
+        answer: Feedback and errors.
+        info: The rest of the info, as plain JSON.
         seat: Of several agents, the seat that acted, and its agent; else empty.
     """
 
     number: int
-    observation: list[Part]
-    response: str
-    reasoning: str
-    calls: list[str]
-    reported: str
+    blocks: list[Block]
     reward: float
     flags: list[str]
-    feedback: list[Part]
-    error: str
-    rest: dict[str, str]
+    answer: list[Block]
+    info: dict[str, str]
     seat: str = ""
 
 
@@ -189,18 +205,24 @@ def _turn_view(number: int, turn: Transition, before: Observation, after: Observ
     feedback = info.get("feedback")
     error = info.get("error")
     flags = {"terminated": turn.terminated, "truncated": turn.truncated, "cut off at the token limit": action.cut_off}
+    blocks = [
+        Block("observation", parts_of(turn.observation, before)),
+        Block("reasoning", parts_of(_words(action.reasoning))),
+        Block("response", parts_of(action.text), _reported(turn)),
+        *(Block("tool call", parts_of(_call(call))) for call in action.tool_calls or ()),
+    ]
+    failed = error_text(error if error is None or isinstance(error, dict) else {"kind": "unknown", "message": error})
+    answer = [
+        Block("feedback", [] if feedback in (None, "") or feedback == after else parts_of(feedback)),
+        Block("error", parts_of(failed)),
+    ]
     return TurnView(
         number=number,
-        observation=parts_of(turn.observation, before),
-        response=action.text,
-        reasoning=_words(action.reasoning),
-        calls=[_call(call) for call in action.tool_calls or ()],
-        reported=_reported(turn),
+        blocks=[block for block in blocks if block.parts or block.label in ("observation", "response")],
         reward=turn.reward,
         flags=[name for name, holds in flags.items() if holds],
-        feedback=[] if feedback in (None, "") or feedback == after else parts_of(feedback),
-        error=error_text(error if error is None or isinstance(error, dict) else {"kind": "unknown", "message": error}),
-        rest={name: _words(value) for name, value in info.items() if name not in _NOT_REST and value is not None},
+        answer=[block for block in answer if block.parts],
+        info={name: _words(value) for name, value in info.items() if name not in _NOT_REST and value is not None},
     )
 
 

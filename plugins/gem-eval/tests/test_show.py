@@ -242,7 +242,7 @@ def test_messages_are_told_by_role_and_those_said_before_are_folded() -> None:
         {"role": "user", "content": "Yo"},
     ]
     _, view = turn_views(Episode("toy:A-v0", 1, first, {}, [turn(first, "a"), turn(second, "b")], "end"))
-    assert [(part.kind, part.text, part.repeated) for part in view.observation] == [
+    assert [(part.kind, part.text, part.repeated) for part in view.blocks[0].parts] == [
         ("role", "system", True),
         ("text", "Be kind.", True),
         ("role", "user", True),

@@ -173,7 +173,7 @@ def test_page_holds_the_turns_of_all_seats(show) -> None:
     assert [part["text"] for part in first["final"]] == ["white", "You have won.", "black", "You have lost."]
     assert (third["returns"], third["turns"][0]["seat"], last["error"]) == ("", "", "agent: no route")
     (first, *_) = page_data(show, "--seat", "black")
-    assert [each["response"] for each in first["turns"]] == ["pear", "fig"]
+    assert [each["blocks"][-1]["parts"][0]["text"] for each in first["turns"]] == ["pear", "fig"]
 
 
 @pytest.mark.parametrize(

@@ -130,7 +130,7 @@ def test_hostile_text_stays_text(written) -> None:
     page, _ = written()
     evil = page.data["episodes"][3]
     assert evil["final"] == [{"kind": "text", "text": escaped(HOSTILE), "repeated": False}]
-    assert evil["turns"][0]["response"] == escaped(HOSTILE)
+    assert evil["turns"][0]["blocks"][2]["parts"][0]["text"] == escaped(HOSTILE)
     tags = [tag for tag, _ in page.elements]
     assert tags == [tag for tag, _ in page_of(maze()).elements]
     assert "<" not in page.raw["script"][0]
@@ -141,7 +141,8 @@ def test_hostile_text_stays_text(written) -> None:
 def test_any_text_stays_text(text: str) -> None:
     """The data parse back, and the elements are those of any page."""
     page = page_of(Episode(text, 1, text, {}, [turn(text, text, **{text: text})], text, group=text), hostile())
-    assert page.data["episodes"][0]["turns"][0]["response"] == escaped(text)
+    said = page.data["episodes"][0]["turns"][0]["blocks"][1]["parts"]
+    assert "".join(part["text"] for part in said) == escaped(text)
     assert [tag for tag, _ in page.elements] == [tag for tag, _ in page_of(maze()).elements]
 
 
@@ -161,9 +162,11 @@ def test_the_data_hold_what_is_shown(written) -> None:
     (episode,) = page.data["episodes"]
     assert (episode["number"], episode["outcome"], episode["return"]) == (1, "success", "0.75")
     assert [turn["reward"] for turn in episode["turns"]] == [0.25, -0.5, 1.0]
-    assert episode["turns"][0]["calls"] == ['python({"code": "print(6 * 7)"})']
+    assert [p["text"] for b in episode["turns"][0]["blocks"] if b["label"] == "tool call" for p in b["parts"]] == [
+        'python({"code": "print(6 * 7)"})'
+    ]
     assert episode["turns"][1]["flags"] == ["cut off at the token limit"]
-    assert [part["repeated"] for part in episode["turns"][1]["observation"]] == [True, False]
+    assert [part["repeated"] for part in episode["turns"][1]["blocks"][0]["parts"]] == [True, False]
     assert episode["start"]["task"] == "room-7"
 
 
@@ -185,7 +188,11 @@ def test_images_stand_in_the_page_once(written) -> None:
     """As data, written anew as PNG; a name that is none of ours is not looked for."""
     page, _ = written()
     ((name, source),) = page.data["images"].items()
-    assert page.data["episodes"][4]["turns"][0]["observation"][1] == {"kind": "image", "text": name, "repeated": False}
+    assert page.data["episodes"][4]["turns"][0]["blocks"][0]["parts"][1] == {
+        "kind": "image",
+        "text": name,
+        "repeated": False,
+    }
     assert base64.b64decode(source.removeprefix("data:image/png;base64,")).startswith(b"\x89PNG")
     assert page.data["notes"] == ["Images that cannot be read, or would be too much: 1. Their names stand instead."]
 

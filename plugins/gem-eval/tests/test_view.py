@@ -149,7 +149,7 @@ def test_a_long_text_is_cut_and_can_be_had_whole(tmp_path: Path) -> None:
     write_run(tmp_path / "run", [Episode("a:B", 1, "", {}, [turn("", text, **{"a.b": text})])])
     client = TestClient(make_app(library_of(tmp_path / "run")), base_url="http://127.0.0.1")
     (shown,) = client.get("/api/episode?run=run&number=1").json()["turns"]
-    for cut in (shown["response"], shown["rest"]["a.b"]):
+    for cut in (shown["blocks"][1]["parts"][0]["text"], shown["info"]["a.b"]):
         assert (cut["text"], cut["length"]) == (escaped(text[:MOST_TEXT]), len(text))
         parameters = {"run": "run", "number": 1, "place": json.dumps(cut["place"])}
         assert client.get("/api/text", params=parameters).json() == escaped(text)

@@ -1,10 +1,17 @@
-"""Styles, scripts and frames of the pages, and how a page that is one file takes them in."""
+"""Templates, styles and scripts of the pages, and how a page that is one file takes them in."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from importlib import resources
+from typing import Any
+
+from gem_eval.show.text import escaped, one_line
+
+_BREAKABLE = re.compile(r"[:/_.]+")
+_MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~&!@])")
 
 
 def read_assets(*names: str) -> str:
@@ -16,3 +23,44 @@ def read_assets(*names: str) -> str:
 def hash_source(text: str) -> str:
     """Return what allows a style or a script by its hash in a Content-Security-Policy."""
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}"
+
+
+def render(template: str, **values: Any) -> str:
+    """Fill a template of this folder.
+
+    In HTML, text of others is escaped, and characters that hide or reorder stand as their codes.
+
+    Args:
+        template: Its name; ``.html`` is escaped.
+        values: What stands in it.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup, escape
+
+    def visible(value: Any) -> Any:
+        return escaped(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+    def breakable(name: str) -> Markup:
+        """Return a name that may be broken after each mark in it."""
+        return Markup(_BREAKABLE.sub(r"\g<0><wbr>", str(escape(escaped(name)))))
+
+    def cut(text: str, longest: int) -> str:
+        rest = len(text) - longest
+        return text if rest <= 0 else f"{text[:longest]}\n… {rest:,} more characters"
+
+    is_page = template.endswith(".html")
+    environment = Environment(
+        loader=PackageLoader("gem_eval", "assets"),
+        autoescape=is_page,
+        finalize=visible if is_page else None,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "breakable": breakable,
+        "cut": cut,
+        "markdown": lambda name: _MARKDOWN.sub(r"\\\1", one_line(name, 120)),
+        "hash": hash_source,
+    }
+    return environment.get_template(template).render(values)

@@ -162,15 +162,15 @@ const transcripts = (() => {
       return folded(`Thinking, ${count(value.length, "character")}`, "thinking", [longText(value, "")], holds(textOf(value)));
     }
 
-    function response(turn) {
-      const text = textOf(turn.response);
+    function response(value, aside) {
+      const text = textOf(value);
       const end = text.indexOf("</think>");
-      if (end < 0) return textBlock("Response", turn.response, "said", turn.reported);
-      const element = block("Response", "said", turn.reported);
+      if (end < 0) return textBlock("Response", value, "said", aside);
+      const element = block("Response", "said", aside);
       element.append(thinking(text.slice(0, end).replace(/^\s*<think>/, "").trim()));
       const rest = text.slice(end + "</think>".length).trim();
       // Of a text that the server has cut, the whole is one click away.
-      if (typeof turn.response !== "string") element.append(longText(turn.response, ""));
+      if (typeof value !== "string") element.append(longText(value, ""));
       else element.append(rest ? longText(rest, "") : make("pre", "dim", "(nothing after the thinking)"));
       return element;
     }
@@ -208,22 +208,24 @@ const transcripts = (() => {
       turn.flags.forEach((flag) => head.append(make("span", "flag", textOf(flag))));
       const sign = turn.reward > 0 ? " success" : turn.reward < 0 ? " failure" : "";
       head.append(make("span", `reward${sign}`, `reward ${turn.rewardText}`));
-      card.append(head, parts(block("Observation", ""), turn.observation));
-      if (textOf(turn.reasoning)) {
-        const element = block("Reasoning", "said");
-        element.append(thinking(turn.reasoning));
-        card.append(element);
-      }
-      card.append(response(turn));
-      turn.calls.forEach((call) => card.append(toolCall(call)));
-      if (turn.feedback.length) card.append(parts(block("Feedback", ""), turn.feedback));
-      if (textOf(turn.error)) card.append(textBlock("Error", turn.error, "error"));
-      if (Object.keys(turn.rest).length) {
+      card.append(head, ...[...turn.blocks, ...turn.answer].map(blockElement));
+      if (Object.keys(turn.info).length) {
         const element = block("Info", "");
-        element.append(facts(turn.rest));
+        element.append(facts(turn.info));
         card.append(element);
       }
       return card;
+    }
+
+    function blockElement({ label, parts: all, aside }) {
+      const value = all.length ? all[0].text : "";
+      if (label === "response") return response(value, aside);
+      if (label === "tool call") return toolCall(value);
+      if (label === "error") return textBlock("Error", value, "error");
+      if (label !== "reasoning") return parts(block(label[0].toUpperCase() + label.slice(1), ""), all);
+      const element = block("Reasoning", "said");
+      element.append(thinking(value));
+      return element;
     }
 
     function lastCard(label, all, error) {

@@ -13,8 +13,7 @@ from gem_eval.opening import warn_of_damage
 from gem_eval.output import print_json
 from gem_eval.records import open_run
 from gem_eval.reporting.contents import contents_of
-from gem_eval.reporting.markdown import markdown_report
-from gem_eval.reporting.page import html_report
+from gem_eval.reporting.page import html_report, markdown_report
 
 _OUT = Path("report.html")
 

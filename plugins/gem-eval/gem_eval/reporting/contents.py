@@ -8,6 +8,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from gem_core.cli import counted
+from gem_eval import figures
 from gem_eval.comparing.comparison import paired_differences
 from gem_eval.comparing.sides import Side, labelled, models_of
 from gem_eval.scores import Metric, Score, compute_scores
@@ -51,6 +53,29 @@ class Entrant:
         return self.rows if task == "all" else self.by_task.get(task, [])
 
 
+class Line(NamedTuple):
+    """A line of a table.
+
+    Args:
+        task: The task, or ``"all"``.
+        entrant: The model.
+        span: Number of lines of the task, for its first; 0 for the others.
+    """
+
+    task: str
+    entrant: Entrant
+    span: int
+
+    @property
+    def rows(self) -> list[Row]:
+        """Its episodes."""
+        return self.entrant.of_task(self.task)
+
+    def score(self, metric: Metric) -> Score:
+        """Return its score."""
+        return self.entrant.scores[self.task, metric]
+
+
 class Paired(NamedTuple):
     """How much more one entrant scored than another on the rows that both have.
 
@@ -88,6 +113,11 @@ class Contents:
     paired_by_task: bool
 
     @property
+    def title(self) -> str:
+        """Names of the runs."""
+        return " and ".join(run.name for run in self.runs)
+
+    @property
     def kind(self) -> str:
         """What entrants are: models, or runs of one model."""
         return "Run" if len(self.runs) > 1 and len({each.model for each in self.entrants}) == 1 else "Model"
@@ -102,13 +132,62 @@ class Contents:
         """Most epochs that a row was played."""
         return max((row.epoch + 1 for row in self.rows), default=0)
 
+    def lines(self, tasks: Sequence[str], metric: Metric | None = None, *, with_all: bool = True) -> list[Line]:
+        """Return a line for each task and each model that played it, then for all tasks together.
+
+        Args:
+            tasks: The tasks.
+            metric: Only models with a score by this metric.
+            with_all: Whether several tasks are followed by all together.
+        """
+        found = []
+        for task in [*tasks, *(["all"] if with_all and len(tasks) > 1 else [])]:
+            own = [each for each in self.entrants if ((task, metric) in each.scores if metric else each.of_task(task))]
+            found += [Line(task, entrant, 0 if place else len(own)) for place, entrant in enumerate(own)]
+        return found
+
     def tasks_with(self, metric: Metric) -> list[str]:
         """Return the tasks that have a score by a metric."""
         return [task for task in self.tasks if any((task, metric) in each.scores for each in self.entrants)]
 
-    def main_metric(self, task: str) -> Metric:
-        """Return ``"success"`` where the task tells of it, else ``"return"``."""
-        return "success" if any((task, "success") in each.scores for each in self.entrants) else "return"
+    def return_tasks(self) -> list[str]:
+        """Return the tasks whose returns say more than their successes: they are not 1 for success and else 0."""
+        return [
+            task
+            for task in self.tasks_with("return")
+            if any(row.success is None or row.episode_return != row.success for row in self.counted(task))
+        ]
+
+    def counted(self, task: str) -> list[Row]:
+        """Return the episodes of a task without an error."""
+        return [row for entrant in self.entrants for row in entrant.of_task(task) if row.error is None]
+
+    def main_score(self, entrant: Entrant) -> Score | None:
+        """Return the score that says most of an entrant: of all tasks if there are several, of success if told."""
+        tasks = list(entrant.by_task)
+        told = self.tasks_with("success")
+        tasks = [task for task in tasks if task in told] or tasks
+        if not told and len(tasks) > 1:
+            return None  # returns of different tasks are of different sizes
+        return entrant.scores.get((tasks[0] if len(tasks) == 1 else "all", "success" if told else "return"))
+
+    def summary(self) -> str:
+        """Return in a sentence how much was played."""
+        rows = self.rows
+        if not rows:
+            return "No episodes."
+        different = len({(row.id, row.row) for row in rows})
+        errors = sum(row.error is not None for row in rows)
+        models = {each.model for each in self.entrants}
+        told = f"{counted(len(models), 'model')} on {counted(len(self.tasks), 'task')}: "
+        if len(self.runs) > 1:
+            told = f"{counted(len(self.runs), 'run')}, {told}"
+        told += f"{counted(len(rows), 'episode')} of {counted(different, 'row')}"
+        told += f", {counted(errors, 'error')}." if errors else "."
+        unfinished = [run.name for run in self.runs if run.info.get("status", "finished") != "finished"]
+        told += f" Not finished: {' and '.join(unfinished)}." if unfinished else ""
+        ended = [row.finished for row in rows if row.finished is not None]
+        return f"{told} Last episode: {figures.moment(max(ended))}." if ended else told
 
 
 def contents_of(runs: Sequence[Run]) -> Contents:
@@ -150,7 +229,7 @@ def solved_counts(rows: Sequence[Row]) -> tuple[int, list[int]]:
     return k, [counts[times] for times in range(k + 1)]
 
 
-def examples(entrants: Sequence[Entrant], limit: int) -> list[tuple[Entrant, Row]]:
+def choose_examples(entrants: Sequence[Entrant], limit: int) -> list[tuple[Entrant, Row]]:
     """Choose episodes to look at: of each ending but success in turn, from as many tasks and models as can be."""
     queues: dict[str, list[tuple[int, Entrant, Row]]] = {}
     seen: Counter[tuple[str, str, str, str | None]] = Counter()

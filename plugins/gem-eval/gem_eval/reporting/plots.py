@@ -1,4 +1,4 @@
-"""Plots as SVG, to stand inside of a page: what is drawn has classes, which the page's style colours.
+"""Where the shapes of plots lie; ``assets/plots.html`` draws them.
 
 Series are numbered from 0; the page has a colour for each of the first ``COLOURS``.
 """
@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
-
-from gem_eval.reporting import markup
 
 COLOURS = 8
 
-_ROW_WIDTH, _ROW_HEIGHT, _MARGIN = 220, 18, 6
+_ROW_WIDTH, _MARGIN = 220, 6
 _WIDTH, _HEIGHT = 320, 170
 _LEFT, _RIGHT, _TOP, _BOTTOM = 40, 20, 8, 36
+_INNER, _FLOOR = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _BOTTOM
 
 
 class Scale(NamedTuple):
@@ -49,9 +49,17 @@ class Scale(NamedTuple):
         """Return where a value lies, from 0 to 1."""
         return min(max((value - self.low) / (self.high - self.low), 0.0), 1.0)
 
+    def across(self, value: float) -> str:
+        """Return where a value lies in a row of a table, in pixels."""
+        return f"{_MARGIN + (_ROW_WIDTH - 2 * _MARGIN) * self.at(value):.1f}"
+
+    def up(self, value: float) -> str:
+        """Return where a value lies in a figure, in pixels from above."""
+        return f"{_FLOOR - (_FLOOR - _TOP) * self.at(value):.1f}"
+
     def label(self, value: float) -> str:
         """Return a number as it is written at a tick."""
-        return f"{100 * value:.10g}" if self.percent else short(value)
+        return f"{100 * value:.10g}" if self.percent else _short(value)
 
 
 SHARES = Scale(0.0, 1.0, (0.0, 0.25, 0.5, 0.75, 1.0), percent=True)
@@ -63,7 +71,7 @@ class Point(NamedTuple):
     Args:
         series: Its series.
         x: Across.
-        y: Upwards.
+        y: Upwards, with its interval.
         low: Lower end of the interval of y.
         high: Upper end of the interval of y.
         title: What it is.
@@ -79,68 +87,42 @@ class Point(NamedTuple):
     whole: bool
 
 
-def short(value: float) -> str:
-    """Return a number in few characters: 0.25, 1,200, 45k, 3.1M."""
-    for size, unit in ((1e9, "G"), (1e6, "M"), (1e4, "k")):
-        if abs(value) >= size:
-            return f"{value / (1e3 if unit == 'k' else size):.3g}{unit}"
-    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
-
-
-def interval(mean: float, low: float | None, high: float | None, scale: Scale, series: int, title: str) -> str:
-    """Draw a mean with the whiskers of its interval, for one row of a table."""
-    middle = _ROW_HEIGHT / 2
-    shapes = [_grid(scale)]
-    if low is not None and high is not None:
-        left, right = _across(scale, low), _across(scale, high)
-        shapes.append(f'<path class="s{series % COLOURS} whisker" d="M{left:.1f} {middle}H{right:.1f}')
-        shapes.append(f'M{left:.1f} {middle - 4}v8M{right:.1f} {middle - 4}v8"/>')
-    shapes.append(f'<circle class="s{series % COLOURS} dot" cx="{_across(scale, mean):.1f}" cy="{middle}" r="4.5"/>')
-    return _svg(_ROW_WIDTH, _ROW_HEIGHT, "".join(shapes), title)
-
-
-def no_interval(scale: Scale) -> str:
-    """Draw the lines of the scale alone, for a row without a score."""
-    return _svg(_ROW_WIDTH, _ROW_HEIGHT, _grid(scale), "no score")
-
-
-def axis(scale: Scale) -> str:
-    """Draw the numbers over a column of ``interval``."""
-    labels = [
-        f'<text x="{_across(scale, tick):.1f}" y="11" text-anchor="{_anchor(scale, tick)}">{scale.label(tick)}</text>'
-        for tick in scale.ticks
-    ]
-    return _svg(_ROW_WIDTH, 14, "".join(labels), "")
-
-
-def stacked(parts: Sequence[tuple[str, int]], title: str) -> str:
-    """Draw counts as a bar of pieces, as wide as its place.
+@dataclass(frozen=True)
+class Figure:
+    """A plot in a frame: places in pixels, as text.
 
     Args:
-        parts: Of each piece the class, and the count.
-        title: What it is.
+        name: Stands above.
+        title: What it is, for a reader who does not see it.
+        x_label: What stands below.
+        scale: Upwards.
+        across: Where numbers stand across, and what they are.
+        bars: Of each its series, place and size.
+        points: As ``Point``, with places as text.
     """
-    total = sum(count for _, count in parts) or 1
-    shapes, left = [], 0.0
-    for name, count in parts:
-        width = 1000 * count / total
-        shapes.append(f'<rect class="{name}" x="{left:.2f}" y="0" width="{width:.2f}" height="16"/>')
-        left += width
-    return (
-        f'<svg class="stack" viewBox="0 0 1000 16" preserveAspectRatio="none" role="img">{_title(title)}'
-        f"{''.join(shapes)}</svg>"
-    )
 
+    name: str
+    title: str
+    x_label: str
+    scale: Scale
+    across: list[tuple[str, str]]
+    bars: list[dict[str, object]] = field(default_factory=list)
+    points: list[dict[str, object]] = field(default_factory=list)
 
-def swatch(name: str) -> str:
-    """Draw a colour for a legend."""
-    square = f'<rect class="{name}" width="12" height="12" rx="2"/>'
-    return f'<svg class="swatch" width="12" height="12" aria-hidden="true">{square}</svg>'
+    @property
+    def upwards(self) -> list[tuple[str, str]]:
+        """Where numbers stand upwards, and what they are."""
+        unit = " %" if self.scale.percent else ""
+        return [(self.scale.up(tick), f"{self.scale.label(tick)}{unit}") for tick in self.scale.ticks]
 
 
 def columns(
-    heights: Sequence[tuple[int, Sequence[float]]], ticks: Sequence[tuple[float, str]], x_label: str, title: str
-) -> str:
+    heights: Sequence[tuple[int, Sequence[float]]],
+    ticks: Sequence[tuple[float, str]],
+    x_label: str,
+    title: str,
+    name: str,
+) -> Figure:
     """Draw shares as columns, those of several series side by side.
 
     Args:
@@ -148,32 +130,26 @@ def columns(
         ticks: Where numbers stand across, in columns, and what they are.
         x_label: What stands below.
         title: What it is.
+        name: What stands above.
     """
     most = max((share for _, shares in heights for share in shares), default=0.0) or 1.0
     scale = Scale.of([0.0, most], 3, percent=True)
     count = max((len(shares) for _, shares in heights), default=1) or 1
-    width, floor = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _BOTTOM
-    step = width / count
-    bar = step * (0.92 if count > 8 else 0.7) / len(heights)
-    shapes = [_upwards(scale)]
+    step = _INNER / count
+    width = step * (0.92 if count > 8 else 0.7) / len(heights)
+    bars: list[dict[str, object]] = []
     for place, (series, shares) in enumerate(heights):
         for column, share in enumerate(shares):
             if share:
-                left = _LEFT + step * column + (step - bar * len(heights)) / 2 + bar * place
-                tall = max(scale.at(share) * (floor - _TOP), 1)
-                shapes.append(
-                    f'<rect class="s{series % COLOURS} bar" x="{left:.1f}" y="{floor - tall:.1f}" '
-                    f'width="{max(bar - (bar > 4), 0.8):.1f}" height="{tall:.1f}"/>'
-                )
-    shapes += [
-        f'<text x="{_LEFT + step * where:.1f}" y="{floor + 14}" text-anchor="middle">{markup.text(label)}</text>'
-        for where, label in ticks
-    ]
-    shapes.append(_below(x_label))
-    return _svg(_WIDTH, _HEIGHT, "".join(shapes), title)
+                left = _LEFT + step * column + (step - width * len(heights)) / 2 + width * place
+                tall = max(scale.at(share) * (_FLOOR - _TOP), 1)
+                size = {"width": f"{max(width - (width > 4), 0.8):.1f}", "height": f"{tall:.1f}"}
+                bars.append({"series": series % COLOURS, "x": f"{left:.1f}", "y": f"{_FLOOR - tall:.1f}", **size})
+    across = [(f"{_LEFT + step * where:.1f}", label) for where, label in ticks]
+    return Figure(name, title, x_label, scale, across, bars=bars)
 
 
-def histogram(values: Sequence[tuple[int, Sequence[float]]], x_label: str, title: str) -> str:
+def histogram(values: Sequence[tuple[int, Sequence[float]]], x_label: str, title: str) -> Figure:
     """Draw how numbers are distributed, as shares of each series.
 
     Args:
@@ -188,7 +164,7 @@ def histogram(values: Sequence[tuple[int, Sequence[float]]], x_label: str, title
     if whole:
         start, step, count = low, 1.0, int(high - low) + 1
         skipped = math.ceil(count / 10)
-        ticks = [(place + 0.5, short(start + place)) for place in range(0, count, skipped)]
+        ticks = [(place + 0.5, _short(start + place)) for place in range(0, count, skipped)]
     else:
         scale = Scale.of(every, 4)
         parts = max(round(16 / (len(scale.ticks) - 1)), 2)
@@ -201,10 +177,10 @@ def histogram(values: Sequence[tuple[int, Sequence[float]]], x_label: str, title
         for value in own:
             counts[min(int((value - start) / step + 1e-9), count - 1)] += 1
         heights.append((series, [each / max(len(own), 1) for each in counts]))
-    return columns(heights, ticks, x_label, title)
+    return columns(heights, ticks, x_label, title, title)
 
 
-def scatter(points: Sequence[Point], x_label: str, scale: Scale, title: str) -> str:
+def scatter(points: Sequence[Point], x_label: str, scale: Scale, title: str) -> Figure:
     """Draw points with the whiskers of their intervals; numbers across are on a logarithmic scale from 10 to 1 on.
 
     Args:
@@ -213,79 +189,39 @@ def scatter(points: Sequence[Point], x_label: str, scale: Scale, title: str) -> 
         scale: Upwards.
         title: What it is.
     """
-    logarithmic = max(point.x for point in points) > 10 * min(point.x for point in points)
-    x_scale = _powers([point.x for point in points]) if logarithmic else Scale.of([0.0, *(p.x for p in points)], 4)
-    floor, width = _HEIGHT - _BOTTOM, _WIDTH - _LEFT - _RIGHT
+    amounts = [point.x for point in points]
+    logarithmic = max(amounts) > 10 * min(amounts)
+    if logarithmic:
+        low = math.floor(math.log10(min(amounts)))
+        high = max(math.ceil(math.log10(max(amounts))), low + 1)
+        x_scale = Scale(low, high, range(low, high + 1))
+    else:
+        x_scale = Scale.of([0.0, *amounts], 4)
 
-    def across(value: float) -> float:
-        return _LEFT + width * x_scale.at(math.log10(value) if logarithmic else value)
+    def across(place: float) -> str:
+        return f"{_LEFT + _INNER * x_scale.at(place):.1f}"
 
-    def up(value: float) -> float:
-        return floor - (floor - _TOP) * scale.at(value)
-
-    shapes = [_upwards(scale)]
-    for tick in x_scale.ticks:
-        where, label = _LEFT + width * x_scale.at(tick), short(10**tick) if logarithmic else x_scale.label(tick)
-        shapes.append(f'<path class="grid" d="M{where:.1f} {_TOP}V{floor}"/>')
-        shapes.append(f'<text x="{where:.1f}" y="{floor + 14}" text-anchor="middle">{label}</text>')
-    for point in sorted(points, key=lambda point: point.whole):
-        name = f"s{point.series % COLOURS}"
-        x, y = across(point.x), up(point.y)
-        kind = "" if point.whole else " faint"
-        shapes.append(f'<g class="{name}{kind}">{_title(point.title)}')
-        if point.whole:
-            shapes.append(f'<path class="{name} whisker" d="M{x:.1f} {up(point.low):.1f}V{up(point.high):.1f}"/>')
-        shapes.append(f'<circle class="{name} dot" cx="{x:.1f}" cy="{y:.1f}" r="{5 if point.whole else 3.5}"/></g>')
-    shapes.append(_below(x_label))
-    return _svg(_WIDTH, _HEIGHT, "".join(shapes), title)
+    ticks = [(across(tick), _short(10**tick) if logarithmic else x_scale.label(tick)) for tick in x_scale.ticks]
+    drawn: list[dict[str, object]] = [
+        {
+            **point._asdict(),
+            "series": point.series % COLOURS,
+            "x": across(math.log10(point.x) if logarithmic else point.x),
+            **{name: scale.up(getattr(point, name)) for name in ("y", "low", "high")},
+        }
+        for point in sorted(points, key=lambda point: point.whole)
+    ]
+    return Figure(title, title, x_label, scale, ticks, points=drawn)
 
 
-def _powers(values: Sequence[float]) -> Scale:
-    low, high = math.floor(math.log10(min(values))), math.ceil(math.log10(max(values)))
-    return Scale(low, max(high, low + 1), range(low, max(high, low + 1) + 1))
+def _short(value: float) -> str:
+    """Return a number in few characters: 0.25, 1,200, 45k, 3.1M."""
+    for size, unit in ((1e9, "G"), (1e6, "M"), (1e4, "k")):
+        if abs(value) >= size:
+            return f"{value / (1e3 if unit == 'k' else size):.3g}{unit}"
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
 def _round_step(step: float) -> float:
     size = 10.0 ** math.floor(math.log10(step))
     return next(factor * size for factor in (1, 2, 2.5, 5, 10) if factor * size >= step * (1 - 1e-9))
-
-
-def _across(scale: Scale, value: float) -> float:
-    return _MARGIN + (_ROW_WIDTH - 2 * _MARGIN) * scale.at(value)
-
-
-def _anchor(scale: Scale, tick: float) -> str:
-    return "start" if tick == scale.ticks[0] else "end" if tick == scale.ticks[-1] else "middle"
-
-
-def _grid(scale: Scale) -> str:
-    lines = "".join(f"M{_across(scale, tick):.1f} 0V{_ROW_HEIGHT}" for tick in scale.ticks)
-    zero = _across(scale, 0.0)
-    strong = f'<path class="zero" d="M{zero:.1f} 0V{_ROW_HEIGHT}"/>' if scale.low < 0 < scale.high else ""
-    return f'<path class="grid" d="{lines}"/>{strong}'
-
-
-def _upwards(scale: Scale) -> str:
-    floor = _HEIGHT - _BOTTOM
-    shapes = []
-    for tick in scale.ticks:
-        y = floor - (floor - _TOP) * scale.at(tick)
-        unit = " %" if scale.percent else ""
-        shapes.append(f'<path class="grid" d="M{_LEFT} {y:.1f}H{_WIDTH - _RIGHT}"/>')
-        shapes.append(f'<text x="{_LEFT - 6}" y="{y + 3.5:.1f}" text-anchor="end">{scale.label(tick)}{unit}</text>')
-    return "".join(shapes)
-
-
-def _below(label: str) -> str:
-    return (
-        f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{_HEIGHT - 5}" text-anchor="middle">{markup.text(label)}</text>'
-    )
-
-
-def _svg(width: int, height: int, content: str, title: str) -> str:
-    told = f'role="img">{_title(title)}' if title else 'aria-hidden="true">'
-    return f'<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}" {told}{content}</svg>'
-
-
-def _title(text: str) -> str:
-    return f"<title>{markup.text(text)}</title>"

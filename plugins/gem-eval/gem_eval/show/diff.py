@@ -85,13 +85,13 @@ def _difference(one: TurnView | None, other: TurnView | None) -> str:
     """Return what two turns first differ in, in words; empty where they are alike."""
     if one is None or other is None:
         return f"the end of the {'first' if one is None else 'second'}"
-    if one.observation != other.observation:
+    first, second = _sections(one), _sections(other)
+    apart = next((name for name, text in first.items() if text != second[name]), "")
+    if apart == "observation":
         return "the observation, although all before it was alike"
-    if (one.response, one.calls) != (other.response, other.calls):
-        return "the response"
-    if str(one.reward) != str(other.reward):  # NaN does not equal itself
-        return "the reward"
-    return "" if _ending(one) == _ending(other) else "the flags"
+    if apart == "reward" and str(one.reward) == str(other.reward):
+        return "the flags"
+    return apart and f"the {apart}"
 
 
 def _turn_lines(one: TurnView | None, other: TurnView | None) -> Iterator[str]:
@@ -115,15 +115,13 @@ def _turn_lines(one: TurnView | None, other: TurnView | None) -> Iterator[str]:
 
 
 def _sections(turn: TurnView) -> dict[str, str]:
+    said = [block.text for block in turn.blocks if block.label in ("response", "tool call")]
+    ending = [flag for flag in turn.flags if flag in ("terminated", "truncated")]
     return {
-        "observation": text_of(turn.observation),
-        "response": "\n".join([turn.response, *turn.calls]),
-        "reward": ", ".join([f"{turn.reward:g}", *_ending(turn)]),
+        "observation": turn.blocks[0].text,
+        "response": "\n".join(said),
+        "reward": ", ".join([f"{turn.reward:g}", *ending]),
     }
-
-
-def _ending(turn: TurnView) -> list[str]:
-    return [flag for flag in turn.flags if flag in ("terminated", "truncated")]
 
 
 def _text_diff(first: str, second: str) -> Iterator[str]:

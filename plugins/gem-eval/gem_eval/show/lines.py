@@ -14,7 +14,7 @@ from gem_core.cli import Column, table_lines
 from gem_core.records import Record
 from gem_eval.show.text import dim, heading, highlighted, one_line, rule
 from gem_eval.turns import (
-    Part,
+    Block,
     TurnView,
     episodes_of,
     error_text,
@@ -95,7 +95,7 @@ def episode_lines(episode: Record, number: int, *, full: bool = False) -> Iterat
     yield from _facts(start_of(episode), full)
     for each in seats:
         if not each.transitions:
-            yield from _section(f"observation{'' if alone else _of(each)}", parts_of(each.observation))
+            yield from _block_lines(Block(f"observation{'' if alone else _of(each)}", parts_of(each.observation)))
     for turn in turn_views(episode, fold=not full):
         yield ""
         yield rule(f"turn {turn.number} of {episode.turns}{f' · {one_line(turn.seat)}' if turn.seat else ''}")
@@ -103,7 +103,9 @@ def episode_lines(episode: Record, number: int, *, full: bool = False) -> Iterat
     yield ""
     yield rule("end")
     for each in seats:
-        yield from _section(f"final observation{'' if alone else _of(each)}", parts_of(each.final_observation))
+        yield from _block_lines(
+            Block(f"final observation{'' if alone else _of(each)}", parts_of(each.final_observation))
+        )
     if episode.error is not None:
         yield style("error: ", fg="yellow") + one_line(error_text(episode.error))
     yield from summary
@@ -126,29 +128,27 @@ def text_lines(text: str) -> Iterator[str]:
 
 
 def _turn_lines(turn: TurnView, full: bool) -> Iterator[str]:
-    yield from _section("observation", turn.observation)
-    if turn.reasoning:
-        yield heading("reasoning")
-        yield from text_lines(turn.reasoning)
-    yield heading("response") + (dim(f"  {one_line(turn.reported)}") if turn.reported else "")
-    yield from text_lines(turn.response) if turn.response else [dim("  (empty)")]
-    for call in turn.calls:
-        yield heading("tool call  ") + one_line(call)
+    for block in turn.blocks:
+        yield from _block_lines(block)
     sign = "green" if turn.reward > 0 else "red" if turn.reward < 0 else None
     title = "reward up to its next turn  " if turn.seat else "reward  "
     yield heading(title) + ", ".join([style(f"{turn.reward:g}", fg=sign), *turn.flags])
-    if turn.feedback:
-        yield from _section("feedback", turn.feedback)
-    if turn.error:
-        yield style("error  ", fg="yellow", bold=True) + one_line(turn.error)
-    yield from _facts(turn.rest, full)
+    for block in turn.answer:
+        yield from _block_lines(block)
+    yield from _facts(turn.info, full)
 
 
-def _section(title: str, parts: list[Part]) -> Iterator[str]:
-    yield heading(title)
-    if hidden := sum(len(part.text) for part in parts if part.repeated):
-        yield dim(f"  … {hidden:,} characters as in the turn before (--full shows them)")
-    for part in parts:
+def _block_lines(block: Block) -> Iterator[str]:
+    if block.label in ("tool call", "error"):
+        colour = "yellow" if block.label == "error" else None
+        yield style(f"{block.label}  ", fg=colour, bold=True) + one_line(block.text)
+        return
+    yield heading(block.label) + (dim(f"  {one_line(block.aside)}") if block.aside else "")
+    if block.repeated:
+        yield dim(f"  … {block.repeated:,} characters as in the turn before (--full shows them)")
+    if block.label == "response" and not block.parts:
+        yield dim("  (empty)")
+    for part in block.parts:
         if part.repeated:
             continue
         if part.kind == "role":

@@ -13,7 +13,7 @@ from typing import Any
 
 from gem_core.errors import EpisodeFileError
 from gem_core.records import ImageFolder, Record
-from gem_eval.assets import hash_source, read_assets
+from gem_eval.assets import read_assets, render
 from gem_eval.episode_data import episode_data, image_names, png_of
 from gem_eval.files import write_page
 from gem_eval.show.text import escaped
@@ -57,16 +57,12 @@ class PageWriter:
         if left_out := len(self._image_data) - len(images):
             notes.append(f"Images that cannot be read, or would be too much: {left_out}. Their names stand instead.")
         data = {"title": escaped(self.title), "notes": notes, "episodes": self._episodes, "images": images}
-        style, script = read_assets("episode.css", "page.css"), read_assets("episode.js", "page.js")
-        page = read_assets("page.html")
-        policy = (
-            f"default-src 'none'; script-src '{hash_source(script)}'; style-src '{hash_source(style)}'; img-src data:; "
-            "base-uri 'none'; form-action 'none'"
+        return render(
+            "page.html",
+            style=read_assets("episode.css", "page.css"),
+            script=read_assets("episode.js", "page.js"),
+            data=inert_json(data),
         )
-        # The data come last, so that a mark in a text of others stays what it is.
-        for mark, text in (("POLICY", policy), ("STYLE", style), ("SCRIPT", script), ("DATA", inert_json(data))):
-            page = page.replace(f"{{{{{mark}}}}}", text)
-        return page
 
     def write(self, path: str | Path) -> None:
         """Write the page to a file, whole or not at all.
