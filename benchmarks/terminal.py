@@ -36,7 +36,7 @@ def timed(work, times):
     return result
 
 def make(task, **options):
-    return gem.make("terminal:Folder", path=str(task), backend={backend!r}, **options)
+    return gem.make("terminal:Folder", path=str(task), **options)
 
 def whole(env):
     env.reset()
@@ -46,11 +46,10 @@ def whole(env):
 
 with tempfile.TemporaryDirectory() as name:
     task = Path(name, "task")
-    for folder in ("environment/setup", "tests"):
+    for folder in ("environment", "tests"):
         (task / folder).mkdir(parents=True)
     (task / "task.toml").write_text('version = "1.0"')
     (task / "instruction.md").write_text("Do nothing.")
-    (task / "environment/setup/prepare.sh").write_text("true")
     dockerfile = "ARG BASE=python:3.12-slim-bookworm\\nFROM ${{BASE}}\\nWORKDIR /app\\n"
     (task / "environment/Dockerfile").write_text(dockerfile)
     (task / "tests/test.sh").write_text("echo 1 >/logs/verifier/reward.txt")
@@ -142,11 +141,9 @@ def main() -> None:
         print("Terminal tasks: not measured, since no container engine answers. Start one, or set DOCKER_HOST.")
         return
     cases = {
-        "docker": harness.snippet(sides.ours, OURS.format(backend="docker")),
+        "docker": harness.snippet(sides.ours, OURS.format()),
         "by hand": harness.snippet(sides.ours, BY_HAND.format(base=BASE)),
     }
-    if shutil.which("bwrap"):
-        cases["local"] = harness.snippet(sides.ours, OURS.format(backend="local"))
     results = harness.measure(cases, repeats=min(sides.repeats, REPEATS), warm_up=1)
     rows = []
     for what, name in ROWS:

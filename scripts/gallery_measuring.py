@@ -98,8 +98,6 @@ SOLVERS["terminal/sample-terminal-bench"] = SOLVERS["terminal/sample"]
 NO_SOLVER = {"game/rock-paper-scissors", "pz/connect-four", "pz/rps", "pz/tictactoe", "ta"}
 """Nobody here plays these well, or knows an answer; and in rock, paper, scissors nothing is better than chance."""
 
-KWARGS = {"terminal:Sample": {"backend": "local"}, "terminal:Sample-terminal-bench": {"backend": "local"}}
-"""Keyword arguments that an environment needs on a machine without an engine of containers."""
 EPISODES = {
     "game": 1_000,
     "code": 20,
@@ -172,7 +170,7 @@ def measure_family(page: str, records: Sequence[EnvSpec]) -> dict[str, Any]:
     """
     measured: dict[str, Any] = {"rows": []}
     for record in records:
-        env = gem.make(record.id, **KWARGS.get(record.id, {}))
+        env = gem.make(record.id)
         try:
             for case in cases_of(page, record, env):
                 played = list(_play(env, case, episodes_of(record)))
@@ -314,12 +312,12 @@ def _frames(episode: Any, record: EnvSpec, turns: Sequence[dict[str, Any]]) -> l
 
 
 def _drawings(episode: Any, record: EnvSpec) -> list[str]:
-    env = gem.make(record.id, **KWARGS.get(record.id, {}))
+    env = gem.make(record.id)
     modes = env.unwrapped.metadata.get("render_modes", [])
     env.close()
     if "ansi" not in modes or record.namespace not in ("game", "pz"):
         return []  # text that is no drawing stands beside the turns
-    env = gem.make(record.id, render_mode="ansi", **KWARGS.get(record.id, {}))
+    env = gem.make(record.id, render_mode="ansi")
     env.reset(seed=episode.seed, options=dict(episode.options) if episode.options else None)
     drawings = [str(env.render())]
     for action in _actions(episode):

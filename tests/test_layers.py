@@ -24,7 +24,7 @@ LAYERS = [
         "terminal",
     },
     {"registry"},
-    {"_plugin"},
+    {"_plugin", "container_engine"},
     {"env"},
     {"data"},
     {"records"},

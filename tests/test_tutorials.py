@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 from tutorial_steps import agrees, follow, shown_outputs, steps_of
 
+from gem_core.container_engine import probe
 from gem_core.parsing import extract_code_blocks
 
 ROOT = Path(__file__).parent.parent
@@ -57,6 +58,17 @@ def variables(folder: Path) -> dict[str, str]:
     }
 
 
+def base_image() -> str:
+    """Return the image of tests, which stands for the one that a tutorial names; skip without it."""
+    engine = probe(closely=True)
+    if engine.status == "unmet":
+        pytest.skip(engine.advice)
+    image = os.environ.get("GEM_TERMINAL_BASE_IMAGE", "gem-python:base")
+    if subprocess.run(["docker", "image", "inspect", image], capture_output=True, check=False).returncode:
+        pytest.skip(f"the engine has no image {image}: name one with GEM_TERMINAL_BASE_IMAGE")
+    return image
+
+
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=() if name in QUICK else pytest.mark.thorough) for name in TUTORIALS if name != "plugin"],
@@ -65,14 +77,15 @@ def test_tutorial_works_to_the_letter(name: str, tmp_path: Path) -> None:
     """Every command succeeds, and every output that is shown comes out."""
     for package in NEEDS.get(name, ("gem_games",)):
         pytest.importorskip(package)
-    if name == "terminal-tasks" and not shutil.which("bwrap"):
-        pytest.skip("without Docker it needs bubblewrap")
+    env = variables(tmp_path)
+    if name == "terminal-tasks":
+        env["GEM_TERMINAL_BASE_IMAGE"] = base_image()
     folder = tmp_path / "empty"
     folder.mkdir()
     if name == "model":
         shutil.copy(ROOT / "examples" / "scripted_server.py", folder)
     steps = steps_of(text_of(name))
-    for shown, output in shown_outputs(steps, follow(steps, folder, variables(tmp_path))):
+    for shown, output in shown_outputs(steps, follow(steps, folder, env)):
         assert agrees(shown, output), f"shown:\n{shown}\ncame out:\n{output}"
 
 

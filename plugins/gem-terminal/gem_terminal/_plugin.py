@@ -22,6 +22,7 @@ def gem_register_envs() -> Iterable[EnvSpec]:
         summary="Work in a terminal; tasks of Terminal-Bench or Harbor in a folder of yours (path=…).",
         kwargs={"max_turns": _TURNS},
         tags=("terminal", "text", "tools"),
+        requires=("docker",),
         deterministic=False,
         folder_markers=("task.toml", "task.yaml"),
     )
@@ -29,25 +30,31 @@ def gem_register_envs() -> Iterable[EnvSpec]:
 
 def _sample(name: str, form: str, summary: str) -> EnvSpec:
     kwargs = {"path": f"gem_terminal:sample/{form}", "max_turns": _TURNS}
-    tags = ("terminal", "text", "tools")
-    return EnvSpec(id=name, entry_point=_ENTRY, kwargs=kwargs, summary=summary, tags=tags, deterministic=False)
+    return EnvSpec(
+        id=name,
+        entry_point=_ENTRY,
+        kwargs=kwargs,
+        summary=summary,
+        tags=("terminal", "text", "tools"),
+        requires=("docker",),
+        deterministic=False,
+    )
 
 
 @hookimpl
 def gem_register_requirements() -> Iterable[RequirementSpec]:
-    """What the sandboxes stand on."""
-    probes = "gem_terminal.requirements"
-    yield RequirementSpec(name="docker", entry_point=f"{probes}:docker", summary="A container engine that answers.")
-    yield RequirementSpec(name="bubblewrap", entry_point=f"{probes}:bubblewrap", summary="A sandbox that starts.")
+    """What the machines stand on."""
+    probe = "gem_core.container_engine:probe"
+    return [RequirementSpec(name="docker", entry_point=probe, summary="A container engine that answers.")]
 
 
 @hookimpl
 def gem_add_commands() -> Iterable[CommandSpec]:
-    """The command that shows tasks, builds their images and clears up."""
+    """The command that shows tasks and tries them."""
     return [
         CommandSpec(
             name="terminal",
             entry_point="gem_terminal.command:command",
-            summary="List, build, check and enter terminal tasks, and remove what was left.",
+            summary="List terminal tasks, and check that they can be solved.",
         )
     ]

@@ -44,6 +44,15 @@ class Settings:
         """Seconds that a command may ask for."""
         return max(self.command_timeout_s, self.most_command_timeout_s)
 
+    @property
+    def return_range(self) -> tuple[float, float] | None:
+        """The lowest and the highest return; None if a task's own reward file or the number of turns leaves it open."""
+        penalty = self.malformed_penalty
+        if self.reward != "all" or (penalty and self.max_turns is None):
+            return None
+        of_malformed = penalty * (self.max_turns or 0)
+        return min(0.0, of_malformed), 1.0 + max(0.0, of_malformed)
+
     def __post_init__(self) -> None:
         values = vars(self) | vars(self.limits)
         for name, (fits, expected) in _CHECKS.items():

@@ -62,7 +62,7 @@ class TerminalEnv(Env):
     how many more were ignored. The tests run after ``<finish/>``, at the end of the budget of turns, and when the
     agent's time is over.
 
-    ``info`` says ``task_id``, ``index``, ``parsed_action``, ``terminal`` (``backend``, ``weaker``, ``exit_code``,
+    ``info`` says ``task_id``, ``index``, ``parsed_action``, ``terminal`` (``backend``, ``exit_code``,
     ``timed_out``, ``workdir`` and more), at reset ``tools``, after the tests ``verifier`` with each of them, and at the
     end ``correct``. What the agent can cause (a killed machine, a full memory, tests that hang because of it) is
     scored; a missing engine, an image that cannot be built, tests that give no verdict on an untouched machine either
@@ -72,8 +72,7 @@ class TerminalEnv(Env):
         path: A task's folder, a folder of them, or a list of both; ``"package:data/tasks"`` names one that a package
             ships.
         tasks: Names of the tasks to use, or patterns such as ``"git-*"``; None for all.
-        backend: ``"docker"``, ``"local"``, ``"auto"``, or an object. ``"auto"`` is what the environment variable
-            GEM_TERMINAL_BACKEND names, else Docker where an engine answers, else local.
+        backend: ``"docker"`` for Docker or Podman, or an object with the interface of ``backends/interface.py``.
         reward: ``"all"``: 1 when the task is solved, else 0. ``"fraction"``: the part of the tests that passed.
             ``"weighted"``: the same by the tests' weights. ``"score"``: the number of the task's own reward file.
         weights: Weights of tests by name for ``"weighted"``; None for the task's.
@@ -111,7 +110,7 @@ class TerminalEnv(Env):
     Raises:
         TaskError: There is no task there, or one that cannot be read.
         ArgumentError: A value that is not accepted.
-        EngineError: The backend that was asked for is not there; the message says what to install or start.
+        EngineError: No container engine answers; the message says how to start one.
 
     Source: the formats are those of Terminal-Bench, https://www.tbench.ai, and Harbor.
     """
@@ -126,7 +125,7 @@ class TerminalEnv(Env):
         path: str | Path | Sequence[str | Path] | None = None,
         tasks: str | Sequence[str] | None = None,
         *,
-        backend: str | Backend = "auto",
+        backend: str | Backend = "docker",
         reward: RewardRule = "all",
         weights: Mapping[str, float] | None = None,
         command_timeout_s: float = 60.0,
@@ -172,6 +171,7 @@ class TerminalEnv(Env):
             pool_size=pool_size,
             limits=Limits(cpus, memory_mb, processes, storage_mb, network),
         )
+        self.return_range = self.settings.return_range
         self.tasks = select_tasks(path, tasks, variables)
         self.num_tasks = len(self.tasks)
         self.backend = shared_backend(backend, build_args)
@@ -382,8 +382,8 @@ class TerminalEnv(Env):
         return reporting.status(episode.workdir, self._turns_left(episode), left_s)
 
     def _info(self, more: dict[str, Any]) -> dict[str, Any]:
-        episode, backend = self._episode, self.backend
-        terminal: dict[str, Any] = {"backend": backend.name, "weaker": backend.weaker}
+        episode = self._episode
+        terminal: dict[str, Any] = {"backend": self.backend.name}
         if episode is not None and len(episode.task.steps) > 1:
             terminal["step"] = episode.step.name
         return {"task_id": self.tasks[self._index].name, "index": self._index, "terminal": terminal, **more}

@@ -45,6 +45,7 @@ def why_not() -> str:
     return ""
 
 
+os.environ.setdefault("GEM_TERMINAL_BASE_IMAGE", BASE)
 needs_engine = pytest.mark.skipif(bool(why_not()), reason=why_not())
 
 
@@ -68,6 +69,11 @@ def make_task(
 def ready(*command: str, retries: int = 50) -> Healthcheck:
     """Return a healthcheck that tries often."""
     return Healthcheck(command, interval_s=0.05, timeout_s=10, retries=retries)
+
+
+def variables(run: str) -> dict[str, str]:
+    """Return the variables of a process whose things bear a label of their own."""
+    return {**os.environ, "GEM_TERMINAL_RUN": run}
 
 
 def left(run: str) -> list[str]:

@@ -42,7 +42,6 @@ class MemoryBackend:
     """Starts machines at once, or as ``on_start`` says."""
 
     name = "memory"
-    weaker = "it is not there at all"
 
     def __init__(self, on_start: Callable[[Task], None] | None = None) -> None:
         self.on_start = on_start

@@ -26,7 +26,7 @@ from docker_machines import (
 
 from gem_terminal.backends.docker.backend import DockerBackend
 from gem_terminal.backends.docker.engine import Client
-from gem_terminal.backends.docker.sweeping import EXPIRES, OWNER, is_dead, labels, owner
+from gem_terminal.backends.docker.sweeping import EXPIRES, OWNER, is_dead, labels, owner, sweep
 from gem_terminal.errors import MachineLostError
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ def test_a_killed_process_is_cleared_up_after(
     backend: DockerBackend, task: Task, tmp_path: Path, run_label: str, work: str
 ) -> None:
     """Wherever it was killed, the next process to use the engine removes what it has left; others' things stay."""
-    backend.build(task)
+    backend.start(task, SMALL).remove()
     dice = random.Random(work)
     with backend.start(task, SMALL) as kept:
         for _ in range(3):
@@ -145,9 +145,9 @@ def test_a_killed_process_is_cleared_up_after(
                 process.send_signal(signal.SIGKILL)
         # What it had asked for just before its end may still be under way.
         deadline = time.monotonic() + 60
-        backend.clean()
+        sweep(backend.engine)
         while len(left(run_label)) > 1 and time.monotonic() < deadline:
-            backend.clean()
+            sweep(backend.engine)
         assert left(run_label) == [f"container ['/{kept.id}']"]
         assert kept.run(["true"], timeout_s=30).exit_code == 0
 
@@ -171,6 +171,6 @@ def test_what_has_expired_is_removed_whoever_owns_it(backend: DockerBackend, run
     client = backend.engine.client
     client.create_volume(f"{run_label}-old", labels=marks | {EXPIRES: "1000000000"})
     client.create_volume(f"{run_label}-new", labels=marks)
-    assert f"volume volume {run_label}-old" in backend.clean()
+    assert f"volume volume {run_label}-old" in sweep(backend.engine)
     assert left(run_label) == [f"volume {run_label}-new"]
     client.remove_volume(f"{run_label}-new")

@@ -64,7 +64,7 @@ def test_honest_solution_is_rewarded_and_nothing_is_not(
 def test_check_finds_honest_tasks_sound(tmp_path: Path) -> None:
     """Each in two machines of its own, the solution run without the agent's shell."""
     write_honest(tmp_path)
-    command = [sys.executable, "-m", "gem_core", "terminal", "check", ".", "--backend", "docker"]
+    command = [sys.executable, "-m", "gem_core", "terminal", "check", "."]
     variables = {**os.environ, "GEM_TERMINAL_BASE_IMAGE": BASE}
     done = subprocess.run(
         command, cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=300, check=False

@@ -115,7 +115,7 @@ def test_check_makes_each_step_ready_before_it_is_tried(monkeypatch: pytest.Monk
 
     solved = step(solution=Solution(command=("true",)))
     task = replace(plain_task(), steps=(replace(solved, name="one"), solved))
-    monkeypatch.setattr(check_command, "some_tasks", lambda *_: [task])
+    monkeypatch.setattr(check_command, "select_tasks", lambda *_: [task])
     monkeypatch.setattr(check_command, "chosen_backend", lambda *_: Room())
     monkeypatch.setattr(check_command, "stage", lambda _, one: done.append(f"stage {one.name}"))
     monkeypatch.setattr(check_command, "solve", solves)

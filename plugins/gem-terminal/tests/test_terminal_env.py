@@ -39,7 +39,7 @@ def test_first_observation_is_the_task_and_how_to_act(env: TerminalEnv) -> None:
     assert observation == info["feedback"] + info["suffix"]
     assert info["task_id"] == "two"
     assert info["index"] == 1
-    assert info["terminal"] == {"backend": "memory", "weaker": "it is not there at all", "shortfall": []}
+    assert info["terminal"] == {"backend": "memory", "shortfall": []}
     assert [tool["function"]["name"] for tool in info["tools"]] == ["bash", "keys", "finish"]
 
 

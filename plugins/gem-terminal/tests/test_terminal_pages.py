@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from machines import needs_a_backend
+from docker_machines import needs_engine
 
 from gem_core.parsing import extract_code_blocks
 
@@ -22,10 +22,10 @@ COMMANDS = [line for code in SHELL for line in code.splitlines() if not line.sta
 def test_pages_have_examples() -> None:
     """There is something to run."""
     assert len(PYTHON) >= 4
-    assert len(COMMANDS) >= 6
+    assert len(COMMANDS) >= 5
 
 
-@needs_a_backend
+@needs_engine
 @pytest.mark.parametrize("code", PYTHON, ids=range(len(PYTHON)))
 @pytest.mark.few(1)
 def test_python_example_runs(code: str, tmp_path: Path) -> None:
@@ -41,7 +41,7 @@ def test_python_example_runs(code: str, tmp_path: Path) -> None:
             assert said in printed
 
 
-@needs_a_backend
+@needs_engine
 @pytest.mark.parametrize("command", sorted(set(COMMANDS)))
 @pytest.mark.thorough
 def test_command_runs(command: str, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from docker_machines import left as left_on_engine
-from machines import backend_names, environment, why_not
+from docker_machines import needs_engine
 from task_writing import TERMINAL_BENCH, write
 
 import gem_core as gem
@@ -23,23 +23,21 @@ from gem_terminal.sample import sample_folder
 TASK = "count-errors"
 SOLUTION = (sample_folder("harbor") / TASK / "solution" / "solve.sh").read_text("utf-8")
 
-each_backend = pytest.mark.parametrize("backend", backend_names())
+pytestmark = needs_engine
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, backend: str) -> Iterator[str]:
+def run(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """The label of all that a test makes."""
     name = f"test-{secrets.token_hex(6)}"
-    for key, value in environment(backend, name).items():
-        monkeypatch.setenv(key, value)
+    monkeypatch.setenv("GEM_TERMINAL_RUN", name)
     yield name
-    assert left(backend, name) == []
+    assert left(name) == []
 
 
-def left(backend: str, run: str) -> list[str]:
+def left(run: str) -> list[str]:
     """Return what of a run is there: on the engine but for built images, and as processes."""
-    found = [] if backend != "docker" else [what for what in left_on_engine(run) if "'gem-terminal:" not in what]
-    return found + processes(run)
+    return [what for what in left_on_engine(run) if "'gem-terminal:" not in what] + processes(run)
 
 
 def processes(run: str) -> list[str]:
@@ -55,15 +53,14 @@ def processes(run: str) -> list[str]:
     return found
 
 
-def soon_nothing(backend: str, run: str) -> list[str]:
+def soon_nothing(run: str) -> list[str]:
     """Return what is left after a while; processes of containers end a moment after the containers."""
     until = time.monotonic() + 60
-    while (found := left(backend, run)) and time.monotonic() < until:
+    while (found := left(run)) and time.monotonic() < until:
         time.sleep(0.2)
     return found
 
 
-@pytest.mark.parametrize("backend", backend_names()[:1])
 @pytest.mark.parametrize(
     "command",
     [
@@ -73,9 +70,9 @@ def soon_nothing(backend: str, run: str) -> list[str]:
         "rm -f /bin/bash /bin/sh /bin/dash; while :; do :; done",
     ],
 )
-def test_an_agent_without_a_shell_has_failed(command: str, backend: str, run: str) -> None:
+def test_an_agent_without_a_shell_has_failed(command: str, run: str) -> None:
     """What it does to its own shell is scored, and no error that would be left out."""
-    env = gem.make("terminal:Sample", backend=backend, command_timeout_s=1.0)
+    env = gem.make("terminal:Sample", command_timeout_s=1.0)
     env.reset(options={"task": TASK})
     _, reward, terminated, truncated, info = env.step(f"<bash>{command}</bash>")
     if not terminated:
@@ -85,14 +82,12 @@ def test_an_agent_without_a_shell_has_failed(command: str, backend: str, run: st
     env.close()
 
 
-@each_backend
-def test_reference_solution_is_rewarded_and_doing_nothing_is_not(backend: str, run: str) -> None:
+def test_reference_solution_is_rewarded_and_doing_nothing_is_not(run: str) -> None:
     """From the instruction to the verdict, with the tests by name."""
-    env = gem.make("terminal:Sample", backend=backend)
+    env = gem.make("terminal:Sample")
     observation, info = env.reset(seed=1, options={"task": TASK})
     assert "service.log" in observation
-    assert info["terminal"]["backend"] == backend
-    assert bool(info["terminal"]["weaker"]) == (backend == "local")
+    assert info["terminal"]["backend"] == "docker"
     _, reward, terminated, truncated, info = env.step("<finish/>")
     assert (reward, terminated, truncated, info["correct"]) == (0.0, True, False, False)
     env.reset(seed=1, options={"task": TASK})
@@ -103,10 +98,9 @@ def test_reference_solution_is_rewarded_and_doing_nothing_is_not(backend: str, r
     env.close()
 
 
-@each_backend
-def test_shell_lives_on_and_what_it_started_is_there_for_the_tests(backend: str, run: str) -> None:
+def test_shell_lives_on_and_what_it_started_is_there_for_the_tests(run: str) -> None:
     """Directory, variables and jobs from turn to turn."""
-    env = gem.make("terminal:Sample", backend=backend)
+    env = gem.make("terminal:Sample")
     env.reset(seed=1, options={"task": TASK})
     env.step("<bash>cd /tmp; NAME=value; sleep 1000 &</bash>")
     assert env.step("<bash>echo $NAME in $PWD</bash>")[0].startswith("value in /tmp\n")
@@ -119,19 +113,15 @@ def test_shell_lives_on_and_what_it_started_is_there_for_the_tests(backend: str,
     env.close()
 
 
-@pytest.mark.skipif(bool(why_not("docker")), reason=why_not("docker") or "there")
-@pytest.mark.parametrize("backend", ["docker"])
 @pytest.mark.parametrize("where", ["machine", "judge"])
-def test_tests_see_the_agents_shell_where_the_task_asks_for_it(
-    backend: str, run: str, tmp_path: Path, where: Any
-) -> None:
+def test_tests_see_the_agents_shell_where_the_task_asks_for_it(run: str, tmp_path: Path, where: Any) -> None:
     """Its variables and directory; not in a judge, which has only the folder."""
     test = (
         "echo ===== short test summary info =====; [ $(cat $FILE) = 5 ] && echo PASSED a::five || echo FAILED a::five"
     )
     says = "instruction: Write 5 to $FILE.\nrun_tests_in_same_shell: true\n"
     write(tmp_path / "five", TERMINAL_BENCH, {"task.yaml": says, "run-tests.sh": f"seq 5000\n{test}\nseq 5000\n"})
-    env = gem.make("terminal:Folder", path=tmp_path, backend=backend, verify_in=where, max_output=100, pool_size=0)
+    env = gem.make("terminal:Folder", path=tmp_path, verify_in=where, max_output=100, pool_size=0)
     env.reset(seed=1)
     env.step("<bash>export FILE=five; echo 5 >five</bash>")
     _, reward, _, _, info = env.step("<finish/>")
@@ -139,8 +129,7 @@ def test_tests_see_the_agents_shell_where_the_task_asks_for_it(
     env.close()
 
 
-@each_backend
-def test_many_environments_at_once(backend: str, run: str) -> None:
+def test_many_environments_at_once(run: str) -> None:
     """Thirty-two in threads, each with a machine and a shell of its own."""
     many = 32
     vec = gem.make_vec("terminal:Sample", many, seed=1, memory_mb=128, max_turns=3, pool_size=0, autoreset="disabled")
@@ -162,9 +151,8 @@ print("ready", flush=True)
 """
 
 
-@each_backend
 @pytest.mark.parametrize("end", ["pass", "raise ValueError('a bug')", "import time; time.sleep(1000)"])
-def test_program_that_never_closes_leaves_nothing(backend: str, run: str, end: str) -> None:
+def test_program_that_never_closes_leaves_nothing(run: str, end: str) -> None:
     """At its end, after an exception, and after Ctrl-C."""
     words = [sys.executable, "-c", _FORGETFUL.format(end=end)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
@@ -174,25 +162,21 @@ def test_program_that_never_closes_leaves_nothing(backend: str, run: str, end: s
             program.send_signal(signal.SIGINT)
         _, errors = program.communicate(timeout=120)
     assert ("ValueError" in errors) == ("ValueError" in end), errors
-    assert soon_nothing(backend, run) == []
+    assert soon_nothing(run) == []
 
 
-@each_backend
-def test_killed_program_leaves_nothing_after_clean(backend: str, run: str) -> None:
-    """``gem terminal clean`` removes what a ``kill -9`` has left."""
+def test_killed_program_is_cleared_up_after_by_the_next(run: str) -> None:
+    """Whatever a ``kill -9`` has left goes when the same user starts another machine."""
     words = [sys.executable, "-c", _FORGETFUL.format(end="import time; time.sleep(1000)")]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as program:
         assert program.stdout is not None
         assert program.stdout.readline() == "ready\n"
         program.kill()
-    clean = [sys.executable, "-m", "gem_core", "terminal", "clean", "--backend", backend]
-    done = subprocess.run(clean, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr
-    assert soon_nothing(backend, run) == []
+    subprocess.run([sys.executable, "-c", _FORGETFUL.format(end="")], check=True, capture_output=True, timeout=300)
+    assert soon_nothing(run) == []
 
 
-@each_backend
-def test_interrupted_run_leaves_nothing(backend: str, run: str, tmp_path: Path) -> None:
+def test_interrupted_run_leaves_nothing(run: str, tmp_path: Path) -> None:
     """Ctrl-C in ``gem run terminal:Sample``: exit code 130, one line, and no container."""
     words = [sys.executable, "-m", "gem_core", "run", "terminal:Sample", "--agent", "random", "--episodes", "1000"]
     words += ["--num-envs", "3", "--out", str(tmp_path / "run.jsonl")]
@@ -204,18 +188,16 @@ def test_interrupted_run_leaves_nothing(backend: str, run: str, tmp_path: Path) 
         _, errors = program.communicate(timeout=180)
     assert program.returncode == 130, errors
     assert "Traceback" not in errors
-    assert soon_nothing(backend, run) == []
+    assert soon_nothing(run) == []
 
 
 def _has_lines(path: Path) -> bool:
     return path.exists() and path.stat().st_size > 0
 
 
-@pytest.mark.skipif(bool(why_not("docker")), reason=why_not("docker") or "there")
-@pytest.mark.parametrize("backend", ["docker"])
-def test_container_that_somebody_else_removed_is_an_error_and_the_next_episode_goes_on(backend: str, run: str) -> None:
+def test_container_that_somebody_else_removed_is_an_error_and_the_next_episode_goes_on(run: str) -> None:
     """It is nobody's failure that training should learn from."""
-    env = gem.make("terminal:Sample", backend=backend, pool_size=0)
+    env = gem.make("terminal:Sample", pool_size=0)
     env.reset(seed=1)
     names = [
         what.split()[-1].lstrip("['/").rstrip("']") for what in left_on_engine(run) if what.startswith("container")
@@ -230,11 +212,9 @@ def test_container_that_somebody_else_removed_is_an_error_and_the_next_episode_g
 
 
 @pytest.mark.thorough
-@pytest.mark.skipif(bool(why_not("docker")), reason=why_not("docker") or "there")
-@pytest.mark.parametrize("backend", ["docker"])
-def test_soak(backend: str, run: str) -> None:
+def test_soak(run: str) -> None:
     """Episodes while workers and containers are killed at random; nothing is left."""
     script = Path(__file__).parents[3] / "scripts" / "terminal_soak.py"
-    words = [sys.executable, str(script), "--backend", backend, "--episodes", "6", "--num-envs", "2", "--every", "2"]
+    words = [sys.executable, str(script), "--episodes", "6", "--num-envs", "2", "--every", "2"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -115,7 +115,6 @@ class ToyBackend:
     """
 
     name = "toy"
-    weaker = ""
 
     def __init__(self, tests: Tests) -> None:
         self.tests = tests

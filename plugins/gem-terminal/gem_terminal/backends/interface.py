@@ -7,7 +7,7 @@ these alone, so that a backend is nothing else.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
@@ -248,8 +248,6 @@ class Backend(Protocol):
     """Makes machines. One object serves all environments of a process, in any thread."""
 
     name: str
-    weaker: str
-    """What makes its isolation weaker than a container's, in words for ``info``; empty where nothing does."""
 
     def resources(self) -> Resources:
         """Return what there is of processors and memory; infinity where that is not known.
@@ -262,15 +260,8 @@ class Backend(Protocol):
         """Raise when it cannot run a task at all.
 
         Raises:
-            TaskError: The task asks for what it does not have; says what, and which backend has it.
+            TaskError: The task asks for what it does not have; says what.
             EngineError: The engine is missing; says what to install or start.
-        """
-
-    def build(self, task: Task, *, fresh: bool = False, on_line: Callable[[str], None] | None = None) -> None:
-        """Make the images of a task, unless they are there; ``fresh`` builds anew, ``on_line`` gets the log's lines.
-
-        Raises:
-            BuildError: It failed, or took longer than the task allows.
         """
 
     def start(self, task: Task, limits: Limits, *, environment: Environment | None = None) -> Machine:
@@ -281,9 +272,6 @@ class Backend(Protocol):
         Raises:
             BuildError, EngineError, MachineLostError: It could not be started.
         """
-
-    def clean(self, *, images: bool = False) -> list[str]:
-        """Remove what dead processes have left behind, and on demand every image; return what was, a line each."""
 
     def close(self) -> None:
         """Remove every machine that this process has made. May be called again; never raises."""

@@ -15,17 +15,9 @@ import click
 
 from gem_core.progress import Progress
 from gem_terminal.backends.interface import Limits
-from gem_terminal.command.asking import (
-    backend_options,
-    chosen_backend,
-    chosen_limits,
-    limit_options,
-    network_option,
-    some_tasks,
-    variable_option,
-    why_not,
-)
+from gem_terminal.command.asking import chosen_backend, chosen_limits, paths_of, shared_options, why_not
 from gem_terminal.errors import MachineError, TaskError
+from gem_terminal.selecting import select_tasks
 from gem_terminal.shell import Shell
 from gem_terminal.tasks.staging import stage
 from gem_terminal.verifying.solutions import solve
@@ -53,7 +45,14 @@ Examples:
   gem terminal check my-tasks/fix-the-server --json
 """,
 )
-@click.argument("where", nargs=-1, type=click.Path(), metavar="[PATH|ID]...")
+@shared_options
+@click.option(
+    "--network",
+    type=click.Choice(["task", "none", "public"]),
+    default="task",
+    show_default=True,
+    help="Network of the machine; 'task' is what the task asks for.",
+)
 @click.option("--task", "names", multiple=True, metavar="NAME", help="Only this task, or those of this pattern.")
 @click.option("--jobs", type=click.IntRange(1, 64), default=2, show_default=True, help="Tasks at once.")
 @click.option(
@@ -65,10 +64,6 @@ Examples:
 )
 @click.option("--artifact", "artifacts", multiple=True, metavar="PATH", help="What a judge gets; see the environment.")
 @click.option("--json", "as_json", is_flag=True, help="Write a line of JSON for each task, with its tests.")
-@variable_option
-@network_option
-@backend_options
-@limit_options
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -81,7 +76,6 @@ def command(
     as_json: bool,
     variables: tuple[str, ...],
     network: str,
-    backend: str,
     build_args: tuple[str, ...],
     **most: Any,
 ) -> None:
@@ -90,8 +84,8 @@ def command(
     PATH is a task's folder or a folder of tasks; an ID is one such as terminal:Sample, which is the default.
     Prints each task as soon as it has been tried. The exit code is 0 if all are sound.
     """
-    tasks = some_tasks(where, names, variables)
-    check = _Check(chosen_backend(backend, build_args), chosen_limits(network, **most), verify_in, artifacts)
+    tasks = select_tasks(paths_of(where), list(names) or None, variables)
+    check = _Check(chosen_backend(build_args), chosen_limits(network, **most), verify_in, artifacts)
     name_width = max(len("task"), *(len(task.name) for task in tasks))
     if not as_json:
         _print("task", "solution", "nothing", "seconds", "verdict", name_width=name_width)

@@ -7,16 +7,9 @@ from typing import Any
 
 import click
 
-from gem_terminal.command.asking import (
-    backend_options,
-    chosen_backend,
-    chosen_limits,
-    limit_options,
-    tasks_at,
-    variable_option,
-    why_not,
-)
+from gem_terminal.command.asking import chosen_backend, chosen_limits, paths_of, shared_options, why_not
 from gem_terminal.errors import EngineError
+from gem_terminal.selecting import read_tasks
 
 _HEADERS = ("task", "format", "difficulty", "agent", "tests", "memory", "network", "here")
 
@@ -27,19 +20,14 @@ _HEADERS = ("task", "format", "difficulty", "agent", "tests", "memory", "network
 Examples:
   gem terminal list
   gem terminal list my-tasks more-tasks
-  gem terminal list my-tasks --backend local
   gem terminal list my-tasks --json
 """,
 )
-@click.argument("where", nargs=-1, type=click.Path(), metavar="[PATH|ID]...")
-@variable_option
-@backend_options
-@limit_options
+@shared_options
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list, with all that is known of each.")
 def command(
     where: tuple[str, ...],
     variables: tuple[str, ...],
-    backend: str,
     build_args: tuple[str, ...],
     as_json: bool,
     **most: Any,
@@ -48,11 +36,11 @@ def command(
 
     PATH is a task's folder or a folder of tasks; an ID is one such as terminal:Sample, which is the default.
     """
-    found, limits = tasks_at(where, variables), chosen_limits(**most)
+    found, limits = read_tasks(paths_of(where), variables), chosen_limits(**most)
     try:
-        chosen, missing = chosen_backend(backend, build_args), ""
+        backend, missing = chosen_backend(build_args), ""
     except EngineError as error:
-        chosen, missing = None, str(error)
+        backend, missing = None, str(error)
     rows = [
         {
             "name": task.name,
@@ -71,9 +59,8 @@ def command(
             "folder": str(task.folder),
             "digest": task.digest,
             "notes": list(task.notes),
-            "shortfall": [] if chosen is None else limits.shortfall(task, chosen.resources()),
-            "backend": None if chosen is None else chosen.name,
-            "cannot_run": missing or why_not(chosen, task),
+            "shortfall": limits.shortfall(task, backend.resources()) if backend else [],
+            "cannot_run": why_not(backend, task) if backend else missing,
         }
         for task in found
     ]

@@ -9,7 +9,7 @@ import secrets
 import threading
 import time
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import docker.errors
@@ -19,7 +19,7 @@ from gem_terminal.backends.docker.engine import FAILURES, Engine
 from gem_terminal.backends.docker.images import Images
 from gem_terminal.backends.docker.machine import DockerMachine
 from gem_terminal.backends.docker.starting import start
-from gem_terminal.backends.docker.sweeping import OWNER, Thing, owner, remove_images, sweep
+from gem_terminal.backends.docker.sweeping import OWNER, Thing, owner, sweep
 from gem_terminal.errors import EngineError, MachineError, MachineLostError, TaskError
 
 if TYPE_CHECKING:
@@ -47,7 +47,6 @@ class DockerBackend:
     """
 
     name = "docker"
-    weaker = ""
 
     def __init__(self, base_url: str | None = None, build_args: Mapping[str, str] | None = None) -> None:
         base = os.environ.get(_BASE)
@@ -75,19 +74,15 @@ class DockerBackend:
             )
         self._begin()
 
-    def build(self, task: Task, *, fresh: bool = False, on_line: Callable[[str], None] | None = None) -> None:
-        """Make the images of a task, unless those of the same content are there."""
-        self._begin()
-        for environment in [task.environment, *(step.verifier.environment for step in task.steps)]:
-            if environment is not None:
-                self._images(task, environment, fresh=fresh, on_line=on_line)
-
     def start(self, task: Task, limits: Limits, *, environment: Environment | None = None) -> DockerMachine:
         """Build what is missing, and start a machine that nothing has touched, its healthchecks passed."""
         self._begin()
         environment = environment or task.environment
         network = network_of(task, environment, limits)
-        images = self._images(task, environment)
+        images = {
+            service: self.images.image(container, task, timeout_s=environment.build_timeout_s)
+            for service, container in {**environment.services, "": environment.main}.items()
+        }
         name = f"gem-terminal-{secrets.token_hex(8)}"
         things: list[Thing] = []
         there = self.resources()
@@ -106,13 +101,6 @@ class DockerBackend:
             raise
         self._watch()
         return machine
-
-    def clean(self, *, images: bool = False) -> list[str]:
-        """Remove what processes that are dead have left behind, and on demand every image that was built."""
-        removed = sweep(self.engine)
-        if images:
-            removed += remove_images(self.engine)
-        return removed
 
     def close(self) -> None:
         """Remove every machine that this process has made. May be called again; never raises."""
@@ -146,16 +134,6 @@ class DockerBackend:
     def _sweep(self) -> None:
         with contextlib.suppress(MachineError):
             sweep(self.engine)
-
-    def _images(
-        self, task: Task, environment: Environment, *, fresh: bool = False, on_line: Callable[[str], None] | None = None
-    ) -> dict[str, str]:
-        everyone = {**environment.services, "": environment.main}
-        timeout_s = environment.build_timeout_s
-        return {
-            name: self.images.image(container, task, timeout_s=timeout_s, fresh=fresh, on_line=on_line)
-            for name, container in everyone.items()
-        }
 
     def _forget(self, machine: DockerMachine) -> None:
         with self._lock:

@@ -8,7 +8,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from math import inf
-from typing import Any, NamedTuple
+from typing import Any
 
 import docker
 import docker.errors
@@ -16,6 +16,8 @@ import requests
 import urllib3.exceptions
 from docker.utils import version_lt
 
+from gem_core.container_engine import EnginePlace, find_engine, why_silent
+from gem_core.errors import MissingRequirementError
 from gem_terminal.backends.interface import Resources
 from gem_terminal.errors import EngineError
 
@@ -28,65 +30,13 @@ NEWEST_API = "1.47"
 ANSWER_S = 120
 """Seconds in which the engine answers any question; with 32 starts at once on two cores it takes a while."""
 
-_REFUSALS = (
-    (
-        ("permission denied", "errno 13"),
-        "this user may not use it: join the group 'docker', or run Podman as this user",
-    ),
-    (("no such file", "errno 2]", "connection refused", "errno 111"), "it is not running there: start it"),
-    (("timed out", "timeout"), "it did not answer in time: look at its load and its log"),
-)
-
 FAILURES = (docker.errors.DockerException, requests.RequestException, urllib3.exceptions.HTTPError, OSError, ValueError)
 """What the client raises when the engine does not do its part; it does not turn all of them into its own."""
-
-
-class Address(NamedTuple):
-    """Where an engine may be, what says so, and further options of the client."""
-
-    url: str
-    source: str
-    options: dict[str, Any]
 
 
 def is_full(error: object) -> bool:
     """Whether an error says that a disk is full."""
     return any(words in str(error).lower() for words in ("no space left on device", "disk quota exceeded"))
-
-
-def addresses(base_url: str | None = None) -> list[Address]:
-    """Return where to look for an engine, in order; what the user names is the only one.
-
-    Args:
-        base_url: As ``unix:///run/user/1000/podman/podman.sock``; None for the usual places.
-    """
-    if base_url:
-        return [Address(base_url, "base_url", {})]
-    if os.environ.get("DOCKER_HOST"):
-        options: dict[str, Any] = {**docker.utils.kwargs_from_env()}
-        return [Address(options.pop("base_url"), "DOCKER_HOST", options)]
-    if (context := _context()) is not None:
-        return [context]
-    places = ["/var/run/docker.sock"]
-    if os.environ.get("XDG_RUNTIME_DIR"):
-        places.append(os.path.join(os.environ["XDG_RUNTIME_DIR"], "podman/podman.sock"))
-    places.append("/run/podman/podman.sock")
-    return [Address(f"unix://{place}", "usual place", {}) for place in places]
-
-
-def _context() -> Address | None:
-    """Return the address in the chosen context of Docker's client; None for the default one."""
-    try:
-        context = docker.context.ContextAPI.get_current_context()
-        if os.environ.get("DOCKER_CONTEXT"):
-            context = docker.context.ContextAPI.get_context(os.environ["DOCKER_CONTEXT"])
-        if context is None or context.Name == "default":
-            return None
-        return Address(str(context.Host), f"context {context.Name!r}", {"tls": context.TLSConfig or False})
-    except (docker.errors.DockerException, OSError, ValueError, KeyError, TypeError) as error:
-        raise EngineError(
-            f"the context of Docker's client cannot be read ({error}): see 'docker context ls'"
-        ) from error
 
 
 class Client(docker.APIClient):
@@ -129,7 +79,7 @@ class Engine:
     """The connection to a container engine, safe in threads and after a fork.
 
     Args:
-        base_url: Where it is; None looks at DOCKER_HOST, the context of Docker's client, and the usual sockets.
+        base_url: Where it is; None for the first that answers, see ``gem_core.container_engine``.
     """
 
     def __init__(self, base_url: str | None = None) -> None:
@@ -137,7 +87,7 @@ class Engine:
         self._lock = threading.Lock()
         self._client: Client | None = None
         self._pid = 0
-        self._place = Address("", "", {})
+        self._place = EnginePlace("", "")
         self.is_podman = False
         self._resources: Resources | None = None
 
@@ -158,7 +108,7 @@ class Engine:
     def variables(self) -> dict[str, str]:
         """The environment in which the commands ``docker`` and ``podman`` talk to this engine."""
         _ = self.client
-        if self._place.source.startswith("context"):
+        if self._place.context:
             return dict(os.environ)  # the command finds it in the same context
         return {**os.environ, "DOCKER_HOST": self._place.url, "CONTAINER_HOST": self._place.url}
 
@@ -181,42 +131,33 @@ class Engine:
                 self._client.close()
             self._client = None
 
-    def places(self) -> list[Address]:
-        """Return where an engine is named, or its socket is there, in the order in which they are tried.
-
-        Raises:
-            EngineError: There is none; says what to do.
-        """
-        known = addresses(self._base_url)
-        places = [
-            place
-            for place in known
-            if place.source != "usual place" or os.path.lexists(place.url.removeprefix("unix://"))
-        ]
-        if places:
-            return places
-        raise EngineError(
-            f"no container engine: nothing at {', '.join(place.url for place in known)}. Install and start Docker, or "
-            "Podman ('systemctl --user start podman.socket'), or set DOCKER_HOST"
-        )
-
     def _connect(self) -> Client:
-        reasons = []
-        for place in self.places():
-            self._place = place
-            try:
-                return self._open(place)
-            except FAILURES as error:
-                reasons.append(f"{place.url} ({place.source}): {_why(error)}")
-        raise EngineError(f"no container engine answers at {'; '.join(reasons)}")
+        """Connect to the engine that the user names, else to the first that answers."""
+        try:
+            self._place = EnginePlace(self._base_url, "base_url") if self._base_url else find_engine()
+        except MissingRequirementError as error:
+            raise EngineError(str(error)) from error
+        try:
+            return self._open(self._place)
+        except FAILURES as error:
+            raise EngineError(
+                f"no container engine answers at {self._place.url} ({self._place.source}): {why_silent(error)}"
+            ) from error
 
-    def _open(self, place: Address) -> Client:
+    def _open(self, place: EnginePlace) -> Client:
+        options: dict[str, Any] = {}
+        if place.source == "DOCKER_HOST":
+            options |= docker.utils.kwargs_from_env()
+        elif place.context:
+            context = docker.context.ContextAPI.get_context(place.context)
+            options = {"tls": (context and context.TLSConfig) or False}
+        options = {"base_url": place.url, **options}
         if place.url.startswith("unix://"):
             # Docker's client leaves its socket open where nobody listens (docker 7.2, unixconn.py).
             with socket.socket(socket.AF_UNIX) as probe:
                 probe.settimeout(10)
                 probe.connect(place.url.removeprefix("unix://"))
-        client = Client(base_url=place.url, version=OLDEST_API, timeout=10, max_pool_size=64, **place.options)
+        client = Client(version=OLDEST_API, timeout=10, max_pool_size=64, **options)
         # Proxies and .netrc have no say on a local socket, and looking for them takes longer than the question.
         client.trust_env = not place.url.startswith("unix:")
         try:
@@ -245,16 +186,7 @@ class Engine:
         except docker.errors.APIError as error:
             hint = ""
             if is_full(error):
-                hint = ". The engine's disk is full: free space ('docker system df'), or run 'gem terminal clean'"
+                hint = ". The engine's disk is full: free space ('docker system df')"
             raise EngineError(f"could not {what}: {error.explanation or error}{hint}") from error
         except FAILURES as error:
-            raise EngineError(f"could not {what}: the container engine failed: {_why(error)}") from error
-
-
-def _why(error: BaseException) -> str:
-    """Return what an error of the connection says, and what to do."""
-    words = " ".join(str(error).split())
-    for parts, advice in _REFUSALS:
-        if any(part in words.lower() for part in parts):
-            return f"{advice} ({words[:200]})"
-    return words[:300] or type(error).__name__
+            raise EngineError(f"could not {what}: the container engine failed: {why_silent(error)}") from error

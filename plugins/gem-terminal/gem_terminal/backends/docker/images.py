@@ -8,6 +8,7 @@ import fcntl
 import functools
 import hashlib
 import json
+import logging
 import os
 import re
 import signal
@@ -15,7 +16,7 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from shutil import which
 from typing import TYPE_CHECKING
@@ -29,7 +30,7 @@ from gem_terminal.errors import BuildError, EngineError
 if TYPE_CHECKING:
     from gem_terminal.tasks.task import Container, Task
 
-OnLine = Callable[[str], None]
+logger = logging.getLogger(__name__)
 
 _LOG_LINES = 40
 _ARGUMENT = re.compile(r"^\s*ARG\s+([A-Za-z_][A-Za-z0-9_]*)", re.IGNORECASE | re.MULTILINE)
@@ -53,47 +54,41 @@ class Images:
         self.built: set[str] = set()
         """Names of the images that were asked for and are built from a Dockerfile."""
 
-    def image(
-        self, container: Container, task: Task, *, timeout_s: float, fresh: bool = False, on_line: OnLine | None = None
-    ) -> str:
+    def image(self, container: Container, task: Task, *, timeout_s: float) -> str:
         """Return the name of a container's image, built or pulled where it is not there.
 
         Args:
             container: What asks for it.
             task: Its task, whose digest stands for the files of the build.
             timeout_s: Seconds that building may take.
-            fresh: Build anew, without caches.
-            on_line: Called with each line of the log.
 
         Raises:
             BuildError: It cannot be built.
             EngineError: It is not there and cannot be pulled, or the engine failed.
         """
-        on_line = on_line or (lambda _: None)
         if container.image is not None:
             try:
-                return self._pulled(container.image, timeout_s, fresh, on_line)
+                return self._pulled(container.image, timeout_s)
             except EngineError as error:
                 if container.context is None:
                     raise
-                on_line(f"building from {container.context / container.dockerfile} instead: {error}")
+                logger.info("gem-terminal: %s; building from %s", error, container.context / container.dockerfile)
         folder = container.context or Path(".")
         below = os.path.relpath(folder, task.folder)
         what = [task.digest, below, container.dockerfile, container.build_args, container.target, self._build_args]
         digest = hashlib.sha256(json.dumps(what, sort_keys=True).encode("utf-8", "surrogatepass")).hexdigest()[:32]
         name = f"{REPOSITORY}:{digest}"
         self.built.add(name)
-        if not fresh and self._has(name):
+        if self._has(name):
             return name
         with _one_builder(digest):
-            if fresh or not self._has(name):
+            if not self._has(name):
                 words = ["--file", str(folder / container.dockerfile), "--tag", name, "--label", f"{LABEL}=image"]
                 words += [
                     word for n, v in self._args(container, folder).items() for word in ("--build-arg", f"{n}={v}")
                 ]
                 words += ["--target", container.target] if container.target else []
-                words += ["--no-cache"] if fresh else []
-                _build(self._engine, [*words, str(folder)], folder, timeout_s, on_line)
+                _build(self._engine, [*words, str(folder)], folder, timeout_s)
         return name
 
     def _args(self, container: Container, folder: Path) -> dict[str, str]:
@@ -112,10 +107,9 @@ class Images:
             return False
         return True
 
-    def _pulled(self, name: str, timeout_s: float, fresh: bool, on_line: OnLine) -> str:
-        if not fresh and self._has(name):
+    def _pulled(self, name: str, timeout_s: float) -> str:
+        if self._has(name):
             return name
-        on_line(f"pulling {name}")
         deadline = time.monotonic() + timeout_s
         repository, tag = docker.utils.parse_repository_tag(name)
         try:
@@ -126,8 +120,6 @@ class Images:
                     if time.monotonic() > deadline:
                         raise EngineError(f"could not pull the image {name!r} within {timeout_s:g} s")
         except (EngineError, docker.errors.NotFound) as error:
-            if self._has(name):
-                return name  # what is here serves, though there is no way to ask for a newer one
             advice = f"Run 'docker pull {name}', or 'docker load' it from a file"
             raise EngineError(f"the image {name!r} is not there ({error}). {advice}") from error
         return name
@@ -171,8 +163,8 @@ def builder(podman: bool) -> tuple[tuple[str, ...], Mapping[str, str]]:
     return (program, "build", "--force-rm"), {}
 
 
-def _build(engine: Engine, words: list[str], folder: Path, timeout_s: float, on_line: OnLine) -> None:
-    """Run the build, and pass on the lines of its log.
+def _build(engine: Engine, words: list[str], folder: Path, timeout_s: float) -> None:
+    """Run the build.
 
     Raises:
         BuildError: It failed, or took too long.
@@ -202,7 +194,6 @@ def _build(engine: Engine, words: list[str], folder: Path, timeout_s: float, on_
             for line in process.stdout or ():
                 if text := line.decode("utf-8", "replace").rstrip():
                     log.append(text[:2000])
-                    on_line(text)
         except BaseException:
             kill()
             raise
@@ -221,7 +212,7 @@ def _build(engine: Engine, words: list[str], folder: Path, timeout_s: float, on_
 
 def _advice(problem: str) -> str:
     if is_full(problem):
-        return "The engine's disk is full: free space, or run 'gem terminal clean --images'"
+        return "The engine's disk is full: free space ('docker system df')"
     if "buildkit" in problem.lower():
         return "Its Dockerfile needs BuildKit: install the plugin buildx of Docker's client"
     if _MISSING.search(problem) and not _COMMAND_FAILED.search(problem):

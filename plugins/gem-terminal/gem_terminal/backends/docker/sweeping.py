@@ -132,17 +132,3 @@ def remove(engine: Engine, things: Iterable[Thing]) -> list[Thing]:
             if not isinstance(error, docker.errors.NotFound) and "is already in progress" not in str(error):
                 left.append((kind, name))
     return left
-
-
-def remove_images(engine: Engine) -> list[str]:
-    """Remove all images that were ever built here, but those that a container uses; return what was removed."""
-    removed = []
-    with engine.asking("remove images") as client:
-        for row in client.images(name=REPOSITORY, filters={"label": f"{LABEL}=image"}):
-            for tag in row.get("RepoTags") or ():
-                try:
-                    client.remove_image(tag)
-                except docker.errors.APIError:
-                    continue  # it is used, or gone already
-                removed.append(f"image {tag}")
-    return removed
