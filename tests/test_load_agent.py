@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
+from gem_core.errors import ArgumentError, EntryPointError, UnknownAgentError
 from gem_core.rollouts import Context, load_agent
 
 CONTEXT = Context("0.0", "toy:Echo-v0", None, 0, {}, [], [])
@@ -42,9 +42,11 @@ def test_agents_are_found_by_name_and_by_module(module: str) -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("randon", "no agent 'randon'. Did you mean 'random'? There are: "),
-        ("no_such_module:act", "no agent 'no_such_module:act': there is no agent and no module 'no_such_module'."),
-        ("json:dumsp", "no agent 'json:dumsp': 'json' has no 'dumsp'. Did you mean 'dump' or 'dumps'?"),
+        ("randon", "Did you mean 'random'?"),
+        ("no_such_module:act", "no module 'no_such_module'"),
+        ("json:dumsp", "Did you mean 'dump' or 'dumps'?"),
+        (":x", "MODULE:CALLABLE"),
+        ("os:", "MODULE:CALLABLE"),
     ],
 )
 def test_unknown_agents_name_the_nearest(name: str, message: str) -> None:
@@ -55,24 +57,13 @@ def test_unknown_agents_name_the_nearest(name: str, message: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("random", "agent 'random': got an unexpected keyword argument 'tempo'. It accepts: no arguments"),
-        (
-            "agent_with_options:Mine",
-            "agent 'agent_with_options:Mine': got an unexpected keyword argument 'tempo'. It accepts: temperature",
-        ),
-        (
-            "agent_with_options:act",
-            "the agent 'agent_with_options:act' is not a class, so it takes no options, and was given: tempo",
-        ),
-    ],
+    ("name", "accepted"),
+    [("random", "no arguments"), ("agent_with_options:Mine", "temperature"), ("agent_with_options:act", "not a class")],
 )
-def test_an_option_that_is_not_taken_is_refused(module: str, name: str, message: str) -> None:
+def test_an_option_that_is_not_taken_is_refused(module: str, name: str, accepted: str) -> None:
     """With what would be."""
-    with pytest.raises(ArgumentError) as caught:
+    with pytest.raises(ArgumentError, match=rf"{name}.*{accepted}"):
         load_agent(name, tempo=1)
-    assert str(caught.value) == message
 
 
 def test_the_current_folder_is_searched_only_while_an_agent_is_loaded(module: str) -> None:
@@ -86,7 +77,7 @@ def test_the_current_folder_is_searched_only_while_an_agent_is_loaded(module: st
     Path("broken_agent.py").write_text("import nothing_of_this_name", encoding="utf-8")
     before = list(sys.path)
     assert load_agent("late_agent:Late")("x", CONTEXT) == "b"
-    for name, kind in (("broken_agent:a", AgentError), (f"{module}:missing", UnknownAgentError)):
+    for name, kind in (("broken_agent:a", EntryPointError), (f"{module}:missing", UnknownAgentError)):
         with pytest.raises(kind):
             load_agent(name)
     assert sys.path == before

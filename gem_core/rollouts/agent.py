@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import sys
 from collections.abc import Awaitable, Callable, Iterable, Iterator
@@ -11,14 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from gem_core.arguments import check_arguments, signature_of
+from gem_core.arguments import signature_of
 from gem_core.background import run_or_schedule, run_sync
-from gem_core.errors import AgentError, ArgumentError, UnknownAgentError
+from gem_core.errors import AgentError, ArgumentError, EntryPointError, UnknownAgentError
 from gem_core.records.episode import Transition
-from gem_core.registry.entry_points import construct, load_entry_point
+from gem_core.registry.entry_points import call_entry_point, load_entry_point
 from gem_core.registry.lookup import registry
-from gem_core.registry.specs import AgentSpec
-from gem_core.suggestions import did_you_mean
 from gem_core.types import Info, Observation, Response
 
 
@@ -217,28 +214,18 @@ def load_agent(name: str, **options: Any) -> Agent:
 
     Raises:
         ArgumentError: The maker does not take these options; the message names the ones that it takes.
+        EntryPointError: Importing the module failed.
         UnknownAgentError: There is no such agent, module or callable.
     """
-    head, colon, rest = name.partition(":")
-    registry().raise_if_ambiguous("agent", head)
-    registered = [record.name for record in registry().specs(AgentSpec)]
-    is_of_plugin = bool(registry().install_hint(head, "agent"))  # of one that is not installed
-    if head in registered or (is_of_plugin and not rest):
-        return as_agent(construct(registry().agent(head), *([rest] if colon else []), **options))
-    if colon and not (head and rest):
-        raise UnknownAgentError(f"no agent {name!r}: name one as MODULE:CALLABLE, or one of {', '.join(registered)}")
-    if not colon:
-        listed = ", ".join(registered)
-        raise UnknownAgentError(
-            f"no agent {name!r}.{did_you_mean(name, registered)} There are: {listed}; or name one as MODULE:CALLABLE"
-        )
     with current_folder_importable():  # a class may import more when it is made
-        try:
-            return _agent_of_module(name, head, rest, registered, options)
-        except UnknownAgentError:
-            if is_of_plugin:  # though there may be a module of the name, as OpenAI's own package
-                registry().agent(head)  # raises an error that says what to install
-            raise
+        target, args, is_maker = _find(name)
+        if is_maker:
+            return as_agent(call_entry_point(target, args, options, f"agent {name!r}"))
+        if options:
+            raise ArgumentError(
+                f"the agent {name!r} is not a class, so it takes no options, and was given: {', '.join(options)}"
+            )
+        return as_agent(target)
 
 
 def load_agents(names: Iterable[str], **options: Any) -> dict[str, Agent]:
@@ -263,38 +250,34 @@ def load_agents(names: Iterable[str], **options: Any) -> dict[str, Agent]:
 
 
 def _takes(name: str, option: str) -> bool:
-    """Tell whether what makes an agent has a keyword argument of a name."""
-    head, _, rest = name.partition(":")
-    registered = [record.name for record in registry().specs(AgentSpec)]
-    if head in registered:
-        maker: Any = load_entry_point(registry().agent(head).entry_point, f"agent {head!r}")
-    else:
+    """Tell whether the maker of an agent has a keyword argument of a name."""
+    with current_folder_importable():
+        target, _, is_maker = _find(name)
+    parameters = (signature_of(target) or inspect.Signature()).parameters
+    return is_maker and (option in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values()))
+
+
+def _find(name: str) -> tuple[Callable[..., Any], tuple[str, ...], bool]:
+    """Return the target of a name, its arguments, and whether it makes the agent; otherwise it is the agent."""
+    head, colon, rest = name.partition(":")
+    try:
+        record = registry().agent(head)
+    except UnknownAgentError as unknown:
+        if not (head and rest):
+            raise UnknownAgentError(f"{unknown} Your own is named as MODULE:CALLABLE.") from None
         try:
-            with current_folder_importable():
-                maker = _import_target(name, head, rest, registered)
-        except UnknownAgentError:
-            load_agent(name)  # raises; for an agent of a plugin, the error says what to install
+            target = load_entry_point(name, f"agent {name!r}")
+        except EntryPointError as error:
+            cause = error.__cause__
+            if registry().install_hint(head, "agent"):  # though there may be a module, as the package of OpenAI
+                raise unknown from error
+            if isinstance(cause, ModuleNotFoundError) and f"{head}.".startswith(f"{cause.name}."):
+                raise UnknownAgentError(f"there is no agent and no module {head!r}: {unknown}") from error
+            if cause is None:  # the module has no such callable
+                raise UnknownAgentError(str(error)) from None
             raise
-        if not isinstance(maker, type):
-            return False
-    parameters = (signature_of(maker) or inspect.Signature()).parameters
-    return option in parameters or any(each.kind is each.VAR_KEYWORD for each in parameters.values())
-
-
-def _agent_of_module(name: str, module: str, path: str, registered: list[str], options: dict[str, Any]) -> Agent:
-    target = _import_target(name, module, path, registered)
-    if not callable(target):
-        raise UnknownAgentError(
-            f"no agent {name!r}: an agent is a callable of (observation, context), and this is {target!r:.100}"
-        )
-    if not options:
-        return as_agent(target)
-    if not isinstance(target, type):
-        raise ArgumentError(
-            f"the agent {name!r} is not a class, so it takes no options, and was given: {', '.join(options)}"
-        )
-    check_arguments(target, (), options, f"agent {name!r}")
-    return as_agent(target(**options))
+        return target, (), isinstance(target, type)
+    return load_entry_point(record.entry_point, f"agent {head!r}"), (rest,) if colon else (), True
 
 
 @contextmanager
@@ -308,24 +291,3 @@ def current_folder_importable() -> Iterator[None]:
         # Remove only one entry: one that was there before, or was added meanwhile, stays.
         with suppress(ValueError):
             sys.path.remove(here)
-
-
-def _import_target(name: str, module_name: str, path: str, registered: list[str]) -> Any:
-    try:
-        target: Any = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        if error.name and (module_name == error.name or module_name.startswith(f"{error.name}.")):
-            hint = did_you_mean(module_name, registered)
-            raise UnknownAgentError(
-                f"no agent {name!r}: there is no agent and no module {module_name!r}.{hint} "
-                f"Agents: {', '.join(registered)}"
-            ) from None
-        raise AgentError(f"the module {module_name!r} needs {error.name!r}, which is not installed") from error
-    except (ImportError, SyntaxError, ValueError) as error:
-        raise AgentError(f"importing the module {module_name!r} failed: {type(error).__name__}: {error}") from error
-    for part in path.split("."):
-        if not hasattr(target, part):
-            names = [found for found in vars(target) if not found.startswith("_")]
-            raise UnknownAgentError(f"no agent {name!r}: {module_name!r} has no {part!r}.{did_you_mean(part, names)}")
-        target = getattr(target, part)
-    return target
