@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import copy
+import json
 import threading
 from typing import Any
 
@@ -17,7 +18,6 @@ from joint_toys import AuctionEnv, CountdownEnv
 import gem_core as gem
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError, ResetNeededError
-from gem_core.making.environment import MadeSpec
 
 NOTE = "```note\n{}\n```"
 TOOLS = ("tools", {"tools": [toys.Notebook()], "tool_reward": 0.25})
@@ -321,7 +321,9 @@ def test_specification_keeps_the_wrappers_of_each_seat() -> None:
     }
     gem.register("joint:Auction-v3", AuctionEnv, agents=["a", "b"])
     made: Any = gem.make("joint:Auction-v3", wrappers={"a": "concat"})
-    assert MadeSpec.from_json(made.spec.to_json()).make().spec == made.spec
+    recorded = json.loads(json.dumps(made.spec.recorded()))
+    again = gem.make(recorded["id"], wrappers=recorded["wrappers"], **recorded["kwargs"])
+    assert again.spec == made.spec
 
 
 def test_closing_closes_the_sessions_of_every_seat() -> None:

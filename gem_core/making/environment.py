@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, Self, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import gymnasium
-from gymnasium.envs.registration import EnvSpec as GymnasiumSpec
-from gymnasium.envs.registration import WrapperSpec as GymnasiumWrapperSpec
 
 from gem_core.arguments import check_arguments, takes_keyword
 from gem_core.env.base import Env
@@ -20,13 +17,15 @@ from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.seats import SeatWrappers
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, RegistrationError
-from gem_core.making.layers import Wrappers, check_options, choices, layers_of
+from gem_core.making.layers import Wrappers, asked_for, check_options, layers_of
 from gem_core.registry.entry_points import call_entry_point, load_entry_point
-from gem_core.registry.lookup import registry
 from gem_core.registry.requirements import check_requirements
 from gem_core.registry.specs import EnvSpec
 from gem_core.wrappers.rendering import TEXT_MODES, Rendered
 from gem_core.wrappers.turn_limit import TurnLimit
+
+if TYPE_CHECKING:
+    from gymnasium.envs.registration import WrapperSpec as GymnasiumWrapperSpec
 
 Layers = tuple[tuple[str, dict[str, Any]], ...]
 """Wrappers by name or entry point, each with its options, innermost first."""
@@ -35,30 +34,42 @@ _ABSENT = object()
 
 
 @dataclasses.dataclass
-class MadeSpec(GymnasiumSpec):
+class MadeSpec:
     """What an environment was made from, as its ``spec``: it can be made again, with the same wrappers and arguments.
 
-    ``record`` is what is registered, ``kwargs`` the arguments in force, and ``wrappers`` what was put around the task:
-    names or entry points with their options, innermost first; by seat, where several agents differ in them. Copies
-    share the values of ``kwargs``: data sets are referenced, never copied.
+    Copies share the values of ``kwargs``: data sets are referenced, never copied.
+
+    Args:
+        record: What is registered.
+        kwargs: The arguments in force.
+        wrappers: What was put around the task: names or entry points with their options, innermost first; by seat,
+            where several agents differ in them.
+        additional_wrappers: Wrappers of Gymnasium's, which record themselves here.
+        max_episode_steps: Likewise, of Gymnasium's ``TimeLimit``.
     """
 
-    id: str = ""
-    record: EnvSpec | None = None
+    record: EnvSpec
+    kwargs: dict[str, Any]
     wrappers: Layers | Mapping[str, Layers] = ()
+    additional_wrappers: tuple[GymnasiumWrapperSpec, ...] = ()
+    max_episode_steps: int | None = None
 
-    def __post_init__(self) -> None:
-        # Gymnasium's own would parse the id in its syntax, which has no variants.
-        record = cast("EnvSpec", self.record)
-        self.id, self.namespace, self.name, self.version = record.id, record.namespace, record.name, record.version
-        self.entry_point, self.nondeterministic = record.entry_point, not record.deterministic
+    @property
+    def id(self) -> str:
+        """The id by which it was made."""
+        return self.record.id
+
+    @property
+    def nondeterministic(self) -> bool:
+        """What Gymnasium's ``check_env`` reads."""
+        return not self.record.deterministic
 
     def make(self, wrappers: Wrappers = (), **kwargs: Any) -> AnyEnv:
         """Make the same environment again, with some arguments changed and ``wrappers`` around it."""
-        record, arguments = cast("EnvSpec", self.record), {**self.kwargs, **kwargs}
-        if isinstance(self.stack, Mapping) or isinstance(wrappers, Mapping):
-            return make_from(record, arguments, self.stack, wrappers)
-        return make_from(record, arguments, [*self.stack, *choices(wrappers)])
+        stacks: list[Any] = [self.stack, wrappers]
+        if not any(isinstance(stack, Mapping) for stack in stacks):  # in one stack, all tools share one wrapper
+            stacks = [[*self.stack, *([wrappers] if isinstance(wrappers, str) else wrappers)]]
+        return make_from(self.record, {**self.kwargs, **kwargs}, *stacks)
 
     @property
     def stack(self) -> Layers | Mapping[str, Layers]:
@@ -66,7 +77,7 @@ class MadeSpec(GymnasiumSpec):
         if isinstance(self.wrappers, Mapping):
             return self.wrappers
         theirs = tuple(_as_layer(wrapper) for wrapper in self.additional_wrappers)
-        if self.max_episode_steps is not None:  # how Gymnasium's TimeLimit records itself
+        if self.max_episode_steps is not None:
             theirs += (("gymnasium.wrappers:TimeLimit", {"max_episode_steps": self.max_episode_steps}),)
         return (*self.wrappers, *theirs)
 
@@ -74,33 +85,20 @@ class MadeSpec(GymnasiumSpec):
         """Return the wrappers around one seat, in an environment of several agents."""
         return self.wrappers.get(seat, ()) if isinstance(self.wrappers, Mapping) else self.wrappers
 
-    def with_kwargs(self, overrides: Mapping[str, Any]) -> Self:
-        """Return a copy whose keyword arguments are changed."""
-        return dataclasses.replace(self, kwargs={**self.kwargs, **overrides}) if overrides else self
-
     def with_wrapper(self, name: str, options: Mapping[str, Any]) -> Self:
         """Return a copy with one more wrapper outside."""
         wrappers = (*cast("Layers", self.stack), (name, dict(options)))
         return dataclasses.replace(self, wrappers=wrappers, additional_wrappers=(), max_episode_steps=None)
 
     def recorded(self) -> dict[str, Any]:
-        """Return ``id``, ``kwargs`` over the registered ones and ``wrappers``, as the record of an episode has them."""
-        record = cast("EnvSpec", self.record)
-        limit = {} if record.max_turns is None else {"max_turns": record.max_turns}
-        registered = {**limit, **record.kwargs}
+        """Return ``id``, ``kwargs`` over the registered ones and ``wrappers``, as the record of an episode has them.
+
+        They are what ``make`` takes, as lists and dictionaries: written as JSON, they make the same environment.
+        """
+        limit = {} if self.record.max_turns is None else {"max_turns": self.record.max_turns}
+        registered = {**limit, **self.record.kwargs}
         kwargs = {name: value for name, value in self.kwargs.items() if registered.get(name, _ABSENT) is not value}
         return {"id": self.id, "kwargs": kwargs, "wrappers": _as_lists(self.wrappers)}
-
-    def to_json(self) -> str:
-        """Return the id, the arguments and the wrappers as JSON, for ``from_json``."""
-        return json.dumps({"id": self.id, "kwargs": self.kwargs, "wrappers": self.stack})
-
-    @staticmethod
-    def from_json(json_env_spec: str) -> MadeSpec:
-        """Return the specification that ``to_json`` wrote; its id is looked up in the registry."""
-        fields = json.loads(json_env_spec)
-        wrappers = _as_layers(fields["wrappers"])
-        return MadeSpec(kwargs=fields["kwargs"], record=registry().env(fields["id"]), wrappers=wrappers)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         return dataclasses.replace(self)
@@ -113,12 +111,6 @@ def _as_layer(wrapper: GymnasiumWrapperSpec) -> tuple[str, dict[str, Any]]:
             "derive it from gymnasium.utils.RecordConstructorArgs"
         )
     return wrapper.entry_point, dict(wrapper.kwargs)
-
-
-def _as_layers(listed: Any) -> Any:
-    if isinstance(listed, Mapping):
-        return {seat: _as_layers(stack) for seat, stack in listed.items()}
-    return tuple((name, options) for name, options in listed)
 
 
 def _as_lists(layers: Any) -> Any:
@@ -155,7 +147,8 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], *wrappers: Wrappers) -
     if not isinstance(env, gymnasium.Env):
         raise RegistrationError(f"{record.id}: the entry point returned {type(env).__name__}, not an environment")
     try:
-        task, as_text = env.unwrapped, False
+        task: Any = env.unwrapped
+        as_text = False
         if render_mode is not None:
             as_text = _set_render_mode(task, render_mode, record)
             arguments = {**arguments, "render_mode": render_mode}
@@ -204,7 +197,7 @@ def wrap(env: AnyEnv, wrappers: Wrappers) -> AnyEnv:
     """
     if isinstance(env, MultiAgentEnv):
         by_seat = wrappers if isinstance(wrappers, Mapping) else dict.fromkeys(env.possible_agents, wrappers)
-        around = {seat: partial(wrap, wrappers=stack) for seat, stack in by_seat.items() if choices(stack)}
+        around = {seat: partial(wrap, wrappers=stack) for seat, stack in by_seat.items() if asked_for(stack)}
         return SeatWrappers(env, around) if around else env
     if isinstance(wrappers, Mapping):
         raise ArgumentError(
@@ -216,8 +209,8 @@ def wrap(env: AnyEnv, wrappers: Wrappers) -> AnyEnv:
         env = call_entry_point(wrapper, (env,), layer.options, layer.owner)
         if not isinstance(env, gymnasium.Env):
             raise ArgumentError(f"{layer.owner} returned {type(env).__name__}, not an environment")
-        if layer.name is not None and isinstance(env, Wrapper):
-            env.registered_as = (layer.name, layer.options)
+        if layer.record is not None and isinstance(env, Wrapper):
+            env.registered_as = (layer.record.name, layer.options)
     return env
 
 

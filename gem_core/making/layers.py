@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeGuard, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
 from gem_core.arguments import check_arguments, parse_choice
 from gem_core.errors import ArgumentError
 from gem_core.registry.choices import parsed_choices
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
-from gem_core.registry.specs import EntryPoint, ToolSpec
+from gem_core.registry.specs import EntryPoint, NamedSpec, ToolSpec
 
 if TYPE_CHECKING:
     from gem_core.tools.tool import Tool
@@ -32,38 +32,72 @@ _TOOLS = "tools"
 
 
 class Layer(NamedTuple):
-    """One wrapper that is to be put around an environment.
+    """One wrapper or tool that is asked for.
 
     Args:
-        owner: What errors call it, as ``"wrapper 'concat'"``.
-        entry_point: What is called with the environment and the options.
+        target: What it was given by.
         options: Keyword arguments.
-        name: Its registered name; None for what was given by entry point or as an object.
+        record: Its record; None for what was given by entry point or as an object.
     """
 
-    owner: str
-    entry_point: EntryPoint
+    target: Target
     options: dict[str, Any]
-    name: str | None = None
+    record: NamedSpec | None
+
+    @property
+    def owner(self) -> str:
+        """What errors call it, as ``"wrapper 'concat'"``."""
+        if self.record is not None:
+            return f"{self.record.kind} {self.record.name!r}"
+        shown = self.target if isinstance(self.target, str) else getattr(self.target, "__qualname__", repr(self.target))
+        return f"wrapper {shown!r}"
+
+    @property
+    def entry_point(self) -> EntryPoint:
+        """What is called with the environment and the options."""
+        return cast("EntryPoint", self.target) if self.record is None else self.record.entry_point
+
+
+def asked_for(wrappers: Wrappers) -> list[Layer]:
+    """Return each wrapper and tool that is asked for, innermost first, of all seats.
+
+    Raises:
+        ArgumentError: Something is no wrapper.
+        UnknownWrapperError: There is no wrapper or tool of a name.
+    """
+    if isinstance(wrappers, Mapping):
+        return [layer for stack in wrappers.values() for layer in asked_for(stack)]
+    if not isinstance(wrappers, Iterable):
+        raise ArgumentError(f"wrappers must be names joined by commas or a list, not {wrappers!r}")
+    rule = "a wrapper is a name, a tool, a callable, or (name, {options})"
+    choices: list[tuple[Target, dict[str, Any]]] = []
+    for given in [wrappers] if isinstance(wrappers, str) else wrappers:
+        choices += parsed_choices(given, "wrappers") if isinstance(given, str) else [parse_choice(given, rule, _is_one)]
+    return [Layer(target, options, _record_of(target)) for target, options in choices]
 
 
 def layers_of(wrappers: Stack) -> list[Layer]:
-    """Return the layers that are asked for, innermost first; all tools share one, in the place of the first.
+    """Return the layers to put around an environment, innermost first; all tools share one, in the place of the first.
 
     So a call counts once, wherever its tool was named.
     """
     layers: list[Layer] = []
     gathered: dict[str, Any] | None = None
-    for target, options in choices(wrappers):
-        tools = _as_tools(target, options)
-        if tools is None:
-            layers.append(_layer(target, options))
+    for layer in asked_for(wrappers):
+        target, options = layer.target, dict(layer.options)
+        if isinstance(layer.record, ToolSpec) or _is_tool(target):
+            tools = [(target, options) if isinstance(target, str | type) else target]
+            options = {}
+        elif target in (_TOOLS, "gem_core.tools.env:ToolEnv") or _is_tool_env(target):
+            tools = _named_tools(options.pop("tools", []))
+        else:
+            layers.append(layer)
             continue
         if gathered is None:
             gathered = {"tools": []}
-            layers.append(_layer(_TOOLS, gathered))
-        gathered["tools"] += tools.pop("tools")
-        for name, value in tools.items():
+            layers.append(Layer(_TOOLS, gathered, registry().wrapper(_TOOLS)))
+        gathered["tools"] += tools
+        for name, value in options.items():
             if gathered.setdefault(name, value) != value:
                 raise ArgumentError(f"the tools are given {name} twice, as {gathered[name]!r} and as {value!r}")
     if gathered is not None and not gathered["tools"]:
@@ -73,85 +107,39 @@ def layers_of(wrappers: Stack) -> list[Layer]:
 
 def check_options(wrappers: Wrappers) -> None:
     """Raise an error for an unknown wrapper, tool or option, before anything is made."""
-    for target, options in _all_choices(wrappers):
-        record = registry().wrapper(target) if is_name(target) else None
-        if record is not None and options and target != _TOOLS:
-            owner = f"{record.kind} {record.name!r}"
-            args = () if isinstance(record, ToolSpec) else (None,)  # a wrapper takes the environment
-            check_arguments(load_entry_point(record.entry_point, owner), args, options, owner)
+    for layer in asked_for(wrappers):
+        if layer.record is not None and layer.options and layer.target != _TOOLS:
+            args = () if isinstance(layer.record, ToolSpec) else (None,)  # a wrapper takes the environment
+            check_arguments(load_entry_point(layer.entry_point, layer.owner), args, layer.options, layer.owner)
 
 
 def wrapper_targets(wrappers: Wrappers) -> list[Target]:
     """Return the name or object of each wrapper and tool that is asked for, those among the options of tools too."""
     targets: list[Target] = []
-    for target, options in _all_choices(wrappers):
-        targets.append(target)
-        if target == _TOOLS:
-            targets += [each[0] if isinstance(each, Sequence) and not isinstance(each, str) else each
-                        for each in _named_tools(options)]  # fmt: skip
+    for layer in asked_for(wrappers):
+        targets.append(layer.target)
+        if layer.target == _TOOLS:
+            named = _named_tools(layer.options.get("tools", []))
+            targets += [each[0] if isinstance(each, tuple | list) else each for each in named]
     return targets
 
 
-def _all_choices(wrappers: Wrappers) -> list[tuple[Target, dict[str, Any]]]:
-    if isinstance(wrappers, Mapping):
-        return [choice for stack in wrappers.values() for choice in choices(stack)]
-    return choices(wrappers)
+def _is_one(target: object) -> bool:
+    return isinstance(target, str) or callable(target) or _is_tool(target)
 
 
-def choices(wrappers: Stack) -> list[tuple[Target, dict[str, Any]]]:
-    """Return each wrapper or tool that is asked for, with its options, innermost first.
-
-    Raises:
-        ArgumentError: Something is no wrapper.
-    """
-    if isinstance(wrappers, str):
-        return [*parsed_choices(wrappers, "wrappers")]
-    if not isinstance(wrappers, Iterable):
-        raise ArgumentError(f"wrappers must be names joined by commas or a list, not {wrappers!r}")
-    found: list[tuple[Target, dict[str, Any]]] = []
-    for choice in wrappers:
-        found += choices(choice) if isinstance(choice, str) else [_choice(choice)]
-    return found
-
-
-def is_name(target: object) -> TypeGuard[str]:
-    """Tell whether a target is the name of a record."""
-    return isinstance(target, str) and ":" not in target
-
-
-def _choice(choice: WrapperChoice) -> tuple[Target, dict[str, Any]]:
-    rule = "a wrapper is a name, a tool, a callable, or (name, {options})"
-    return parse_choice(choice, rule, lambda one: isinstance(one, str) or callable(one) or _is_tool(one))
-
-
-def _layer(target: Target, options: dict[str, Any]) -> Layer:
-    if is_name(target):
-        record = registry().wrapper(target)
-        return Layer(f"{record.kind} {record.name!r}", record.entry_point, options, record.name)
-    entry_point = cast("EntryPoint", target)
-    shown = entry_point if isinstance(entry_point, str) else getattr(entry_point, "__qualname__", repr(entry_point))
-    return Layer(f"wrapper {shown!r}", entry_point, options)
-
-
-def _as_tools(target: Target, options: dict[str, Any]) -> dict[str, Any] | None:
-    """Return a choice as options of ``ToolEnv``; None for any other wrapper."""
-    if _is_tool(target):
-        return {"tools": [(target, options) if isinstance(target, type) else target]}
-    if target in (_TOOLS, "gem_core.tools.env:ToolEnv") or _is_tool_env(target):
-        return {**options, "tools": _named_tools(options)}
-    if is_name(target) and isinstance(registry().wrapper(target), ToolSpec):
-        return {"tools": [(target, options)]}
-    return None
+def _record_of(target: Target) -> NamedSpec | None:
+    return registry().wrapper(target) if isinstance(target, str) and ":" not in target else None
 
 
 # The modules of tools import pydantic, which takes longer than all the rest of `make`: what is given as a string, or
 # not at all, loads none of them.
 
 
-def _named_tools(options: Mapping[str, Any]) -> list[Any]:
+def _named_tools(tools: Any) -> list[Any]:
     from gem_core.tools.selection import tool_choices
 
-    return tool_choices(options.get("tools", []))
+    return tool_choices(tools)
 
 
 def _is_tool(target: object) -> bool:

@@ -6,6 +6,7 @@ import json
 import re
 from typing import Any
 
+from gem_core.arguments import parse_choice
 from gem_core.errors import ArgumentError
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import ToolSpec, WrapperSpec
@@ -13,15 +14,16 @@ from gem_core.registry.specs import ToolSpec, WrapperSpec
 _PYTHON = {"True": True, "False": False, "None": None}
 """Python's words for constants, which ``gem info`` shows, beside those of JSON."""
 
-# A name has no equals sign before its first colon, so a piece that has one is an option of the name before it.
-_NAME = re.compile(r"\s*([\w.-]+)\s*(?::(.*))?", re.ASCII | re.DOTALL)
+# A name or "package.module:Class", an option, or both with a colon between them.
+_WORD = re.compile(
+    r"\s*(?:(?P<name>[\w.-]+(?::[A-Za-z_][\w.]*(?=\s*(?::|$)))?)\s*(?::|$))?\s*(?:(?P<option>\w+)\s*=(?P<value>.*))?",
+    re.ASCII | re.DOTALL,
+)
 OPTION = re.compile(r"\s*(\w+)\s*=(.*)", re.ASCII | re.DOTALL)
 """A name, and a value that ``option_value`` reads."""
 
-_FORMS = {
-    "tools": "'python,search:top_k=2' or JSON as in '[[\"search\", {\"top_k\": 2}]]'",
-    "wrappers": "'concat:max_turns=2,episode_stats' or JSON as in '[[\"concat\", {\"max_turns\": 2}]]'",
-}
+_TOOL_FORM = "'python,search:top_k=2' or JSON as in '[[\"search\", {\"top_k\": 2}]]'"
+_FORM = "'concat:max_turns=2,episode_stats' or JSON as in '[[\"concat\", {\"max_turns\": 2}]]'"
 
 
 def parsed_choices(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
@@ -37,62 +39,36 @@ def parsed_choices(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
     Raises:
         ArgumentError: It is neither a list of names nor JSON.
     """
+    kind = option.lstrip("-")
+    form = f"write {_TOOL_FORM if kind == 'tools' else _FORM}"
     if text.lstrip().startswith(("[", "{")):
-        return _from_json(text, option)
+        try:
+            content = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise ArgumentError(f"{option} is no valid JSON: {error}; {form}") from None
+        rule = f"{option} must be a list of names, or of names with options ({form})"
+        given = content.items() if isinstance(content, dict) else content  # {"search": {"top_k": 2}, "python": {}}
+        return [parse_choice(each, rule, lambda name: isinstance(name, str)) for each in given]
     choices: list[tuple[str, dict[str, Any]]] = []
     words = text.split(",")
     while words:
         word = words.pop(0)
-        setting, named = OPTION.fullmatch(word), _NAME.fullmatch(word)
-        if setting and choices:
-            choices[-1][1][setting[1]] = _value(setting[2], words)
-        elif named:
-            name, rest = named[1], named[2]
-            if (
-                rest is not None
-                and option.lstrip("-") != "tools"
-                and not OPTION.fullmatch(rest)
-                and not _is_registered(name)
-            ):
-                path, _, rest = rest.partition(":")  # "package.module:Class", with its options behind another colon
-                name, rest = f"{name}:{path}", rest or None
-            choices.append((name, {}))
-            if rest is not None:
-                setting = OPTION.fullmatch(rest)
-                if setting is None:
-                    raise ArgumentError(f"{option}: {rest!r} is no option of {name!r}; write {_form(option)}")
-                choices[-1][1][setting[1]] = _value(setting[2], words)
-        elif word.strip():
-            raise ArgumentError(f"{option}: {word!r} is no name; write {_form(option)}")
+        match = _WORD.fullmatch(word)
+        if match is None or (match["option"] and not match["name"] and not choices):
+            raise ArgumentError(f"{option}: {word!r} is no name; {form}")
+        if match["name"]:
+            head, _, rest = match["name"].partition(":")
+            if rest and (kind in ("tools", "backend") or _is_registered(head)):
+                raise ArgumentError(f"{option}: {rest!r} is no option of {head!r}; {form}")
+            choices.append((match["name"], {}))
+        if match["option"]:
+            choices[-1][1][match["option"]] = _value(match["value"], words)
     return choices
 
 
 def option_value(text: str) -> Any:
     """Return the value of one option: JSON if it can be read as such, or Python's True, False or None, or text."""
     return _value(text, [])
-
-
-def _form(option: str) -> str:
-    return _FORMS.get(option.lstrip("-"), _FORMS["wrappers"])
-
-
-def _from_json(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ArgumentError(f"{option} is no valid JSON: {error}; write {_form(option)}") from None
-    if isinstance(content, dict):  # {"search": {"top_k": 2}, "python": {}}
-        content = list(content.items())
-    choices = [
-        (each, {}) if isinstance(each, str) else tuple(each) if isinstance(each, list | tuple) else ()
-        for each in content
-    ]
-    for choice in choices:
-        if len(choice) != 2 or not isinstance(choice[0], str) or not isinstance(choice[1], dict):
-            raise ArgumentError(
-                f"{option} must be a list of names, or of names with options, not {text:.200}; write {_form(option)}"
-            )
-    return choices
 
 
 def _value(text: str, following: list[str]) -> Any:
