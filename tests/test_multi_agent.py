@@ -125,9 +125,7 @@ def test_agent_joins_and_cannot_return() -> None:
     assert env.step({"host": "open"})[0] == {"host": "host"}  # who joins comes last
     assert env.step({"host": "wait"})[0] == {"guest": "guest"}
     env.step({"guest": "bye"})
-    with pytest.raises(
-        ArgumentError, match=r"^'guest' has taken part in this episode already, and cannot join it again"
-    ):
+    with pytest.raises(ArgumentError, match="'guest'"):
         env.step({"host": "open"})
 
 
@@ -141,7 +139,7 @@ def test_missing_and_unwanted_actions_are_refused() -> None:
         env.step({"a": "1", "b": "1"})
     with pytest.raises(ArgumentError, match="of 'a'"):
         env.step({"a": 1})  # type: ignore[dict-item]
-    with pytest.raises(ArgumentError, match=r"^actions are {agent: response}, here of 'a', not '1'$"):
+    with pytest.raises(ArgumentError, match="of 'a', not '1'"):
         env.step("1")  # type: ignore[arg-type]
     assert env.acting == ("a",)
 
@@ -149,7 +147,7 @@ def test_missing_and_unwanted_actions_are_refused() -> None:
 def test_step_outside_an_episode_is_refused() -> None:
     """A step before the first reset and after the end is an error."""
     env = CountdownEnv()
-    with pytest.raises(ResetNeededError, match=r"^CountdownEnv: the episode is over or has not begun; call reset"):
+    with pytest.raises(ResetNeededError, match=r"^CountdownEnv: "):
         env.step({"first": "1"})
 
 
@@ -238,7 +236,14 @@ def test_private_names_of_an_author_are_free() -> None:
 
 
 def test_turn_limit_truncates_all() -> None:
-    """``max_turns`` of the record counts steps, and truncates everyone who is left."""
+    """``max_turns`` of the record counts steps, or ``max_steps`` of the class, and truncates everyone who is left."""
+
+    class Brief(AuctionEnv):
+        max_steps = 1
+
+    brief = Brief(["a", "b"])
+    brief.reset(seed=0)
+    assert brief.step({"a": "1"})[3] == {"a": True, "b": True}
     gem.register("joint:Auction-v0", AuctionEnv, agents=["a", "b"], mode="parallel", seats=("a", "b"))
     spec = gem.spec("joint:Auction-v0")
     assert spec.seats == ("a", "b")
@@ -253,20 +258,9 @@ def test_turn_limit_truncates_all() -> None:
         assert env.agents == []
 
 
-def test_make_keeps_the_limit_of_a_class() -> None:
-    """``max_steps`` of the class holds where the record says nothing."""
-
-    class Brief(AuctionEnv):
-        max_steps = 1
-
-    env: Any = gem.make(gem.EnvSpec(id="joint:Brief-v0", entry_point=Brief, kwargs={"agents": ["a", "b"]}))
-    env.reset(seed=0)
-    assert env.step({"a": "1"})[3] == {"a": True, "b": True}
-
-
-def test_state_survives_json_in_the_middle_of_an_episode() -> None:
-    """A state restored in another instance continues with the same results, turns and rewards."""
-    env, other = AuctionEnv(["a", "b", "c"]), AuctionEnv(["a", "b", "c"])
+def test_a_fork_goes_on_in_the_middle_of_an_episode() -> None:
+    """With the same results, turns and rewards."""
+    env = AuctionEnv(["a", "b", "c"])
     env.reset(seed=5)
     env.agent_selector.override("c")
     env.step({"a": "4"})
@@ -275,20 +269,6 @@ def test_state_survives_json_in_the_middle_of_an_episode() -> None:
         acting = env.acting
         assert acting == other.acting
         assert env.step(dict.fromkeys(acting, action)) == other.step(dict.fromkeys(acting, action))
-
-
-def test_same_seed_same_episode() -> None:
-    """Seed and actions decide the episode."""
-
-    def play(seed: int) -> list[Any]:
-        env = CountdownEnv()
-        seen: list[Any] = [env.reset(seed=seed)]
-        while env.agents:
-            seen.append(env.step({agent: env.sample_random_action(agent) for agent in env.acting}))
-        return seen
-
-    assert play(7) == play(7)
-    assert play(7) != play(8)
 
 
 def test_selector_rotates_and_overrides() -> None:
@@ -301,24 +281,29 @@ def test_selector_rotates_and_overrides() -> None:
     assert [selector.next() for _ in range(3)] == [["a"], ["c"], ["b"]]
     selector.remove("a")
     assert [selector.next() for _ in range(3)] == [["c"], ["b"], ["c"]]
-    with pytest.raises(ArgumentError, match=r"'aec'"):
-        AgentSelector(mode="aec")  # type: ignore[arg-type]
-
-
-def test_parallel_selector_takes_all() -> None:
-    """In parallel mode all act who are left."""
     selector = AgentSelector(["a", "b"], mode="parallel")
     assert selector.next() == ["a", "b"]
     selector.remove("a")
     assert selector.next() == ["b"]
+    with pytest.raises(ArgumentError, match=r"'aec'"):
+        AgentSelector(mode="aec")  # type: ignore[arg-type]
 
 
-def test_selector_of_a_class_is_refused() -> None:
-    """Environments of one class would take each other's turns."""
-    with pytest.raises(TypeError, match=r"^Shared sets agent_selector in the class, .*; set self.agent_selector in"):
+def test_selector_of_a_class_is_each_environments_own() -> None:
+    """Environments of one class do not take each other's turns."""
 
-        class Shared(AuctionEnv):
-            agent_selector = AgentSelector(mode="parallel")
+    class Shared(AuctionEnv):
+        agent_selector = AgentSelector()
+
+        def __init__(self, agents: Any) -> None:
+            MultiAgentEnv.__init__(self)
+            self.possible_agents, self.rounds, self.bids = agents, None, []
+
+    one, other = Shared(["a", "b", "c"]), Shared(["a", "b"])
+    one.reset(seed=0)
+    other.reset(seed=0)
+    one.step({"a": "1"})
+    assert (one.acting, other.acting) == (("b",), ("a",))
 
 
 def test_own_selector_decides() -> None:
@@ -333,16 +318,8 @@ def test_own_selector_decides() -> None:
     assert env.reset(seed=0)[0].keys() == {"a", "b"}
     assert env.step({"a": "1", "b": "1"})[0].keys() == {"a"}
     env.agent_selector.override("nobody")
-    with pytest.raises(RuntimeError, match=r"^AuctionEnv: the agent_selector chose 'nobody' to act next, and"):
+    with pytest.raises(RuntimeError, match="'nobody'"):
         env.step({"a": "1"})
-
-
-def test_what_is_no_selector_is_refused() -> None:
-    """The error says what is wanted."""
-    env: Any = AuctionEnv(["a", "b"])
-    env.agent_selector = "parallel"
-    with pytest.raises(TypeError, match=r"^AuctionEnv: agent_selector is an AgentSelector, as AgentSelector\(mode="):
-        env.reset(seed=0)
 
 
 def test_documented_example_runs() -> None:

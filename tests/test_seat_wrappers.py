@@ -181,7 +181,7 @@ def test_a_seat_that_its_wrapper_ends_ends_the_episode() -> None:
     assert infos["b"]["final_obs"] == "You are b. Bids: 1\nYou are b. Bids: 1 5 2"
     assert (list(terminations.values()), list(truncations.values())) == ([False] * 3, [True] * 3)
     assert (env.agents, env.acting) == ([], ())
-    with pytest.raises(ResetNeededError, match=r"^joint:Auction-v1: the episode is over or has not begun"):
+    with pytest.raises(ResetNeededError, match=r"^joint:Auction-v1: "):
         env.step({"a": "1"})
 
 
@@ -258,37 +258,26 @@ class OwnStep(gem.Wrapper):
 @pytest.mark.parametrize("wrapper", [OwnStep, gym_wrappers.RecordEpisodeStatistics])
 def test_wrappers_that_are_no_hooks_are_refused(wrapper: Any) -> None:
     """The error says what to do instead."""
-    with pytest.raises(
-        ArgumentError,
-        match=rf"^{wrapper.__name__} cannot go around a seat, since it is not made from hooks alone: derive it from "
-        r"gem_core.Wrapper and override before_reset, after_reset, before_step or after_step; or put it around "
-        r"gem_core.single_agent\(env, seat, others\)$",
-    ):
+    with pytest.raises(ArgumentError, match=rf"^{wrapper.__name__} .*gem_core\.single_agent"):
         auction([wrapper])
 
 
 def test_a_wrapper_around_the_whole_is_refused() -> None:
     """The error says how it gets around a seat."""
-    with pytest.raises(
-        ArgumentError, match=r"^Silent goes around a seat, .* make\(id, wrappers={'a': \[Silent\]}\)\. See "
-    ):
+    with pytest.raises(ArgumentError, match=r"^Silent .* make\(id, wrappers={'a': \[Silent\]}\)"):
         Silent(auction(()))
 
 
 def test_unknown_seats_are_refused() -> None:
     """By name, before anything is made where the record knows the seats; and wrappers by seat want seats."""
-    with pytest.raises(
-        ArgumentError, match=r"^there is no seat 'frist'\. Did you mean 'first'\? The seats are: 'first'"
-    ):
+    with pytest.raises(ArgumentError, match=r"'frist'.*'first'"):
         gem.make(gem.EnvSpec(id="joint:Heap-v0", entry_point=CountdownEnv), wrappers={"frist": "concat"})
     gem.register("joint:Auction-v2", AuctionEnv, agents=["a", "b"], seats=("a", "b"))
-    with pytest.raises(ArgumentError, match=r"^there is no seat 'c'\. The seats are: 'a', 'b'$"):
+    with pytest.raises(ArgumentError, match=r"'c'.* 'a', 'b'"):
         gem.make_vec("joint:Auction-v2", wrappers={"c": "concat"})
     with pytest.raises(ArgumentError, match=r"^wrapper 'concat': .* 'max_truns'"):
         gem.make_vec("joint:Auction-v2", wrappers={"a": [("concat", {"max_truns": 1})]})
-    with pytest.raises(
-        ArgumentError, match=r"^wrappers by seat \('a'\) are for an environment of several agents, and "
-    ):
+    with pytest.raises(ArgumentError, match=r"'a'.* several agents"):
         gem.make("toy:Echo-v0", wrappers={"a": "concat"})
 
 

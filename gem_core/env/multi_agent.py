@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from gem_core.env.agent_selector import AgentSelector
@@ -100,23 +99,18 @@ class MultiAgentEnv(Env):
     truncations: dict[str, bool]
     """Whether each agent that has taken part in this episode was cut off."""
 
-    def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Refuse a selector of the class, which all its environments would share."""
-        super().__init_subclass__(**kwargs)
-        if isinstance(vars(cls).get("agent_selector"), AgentSelector):
-            raise TypeError(
-                f"{cls.__name__} sets agent_selector in the class, where all its environments would share it; "
-                "set self.agent_selector in __init__"
-            )
+    agent_selector: AgentSelector = AgentSelector()
+    """Who acts next: one after another in the order of ``possible_agents``, unless a subclass sets its own.
 
-    @cached_property
-    def agent_selector(self) -> AgentSelector:
-        """Who acts next: one after another in the order of ``possible_agents``, unless a subclass sets its own."""
-        return AgentSelector()
+    Each environment has a copy of its class's.
+    """
 
-    @cached_property
-    def __turns(self) -> _Turns:
-        return _Turns()
+    __live = False
+    __steps: int
+    __unpaid: dict[str, float]
+    """Rewards that ``step`` has not returned yet."""
+    __news: dict[str, Info]
+    """Infos that ``step`` has not returned yet."""
 
     # What a subclass writes.
 
@@ -192,17 +186,14 @@ class MultiAgentEnv(Env):
         Returns:
             The observations of those who act first, and their infos.
         """
-        self.__turns = _Turns()
+        self.__live, self.__steps, self.__unpaid, self.__news = False, 0, {}, {}
         super().reset(seed=seed)
         possible = list(self.possible_agents)
         name = self.env_id or type(self).__name__
         if not possible or len(set(possible)) < len(possible):
             raise TypeError(f"{name} must set possible_agents to names that differ, not {possible!r}")
-        if not isinstance(self.agent_selector, AgentSelector):
-            raise TypeError(
-                f"{name}: agent_selector is an AgentSelector, as AgentSelector(mode='parallel'), not "
-                f"{self.agent_selector!r:.100}"
-            )
+        if "agent_selector" not in vars(self):
+            self.agent_selector = copy.copy(self.agent_selector)
         self.agents = possible.copy()
         self.agent_selector.reset(possible)
         self.cumulative, self.terminations, self.truncations = {}, {}, {}
@@ -232,17 +223,17 @@ class MultiAgentEnv(Env):
             ArgumentError: An action is missing, is of an agent that does not act now, or is no text.
             ResetNeededError: The episode is over or has not begun.
         """
-        name, turns = self.env_id or type(self).__name__, self.__turns
+        name = self.env_id or type(self).__name__
         check_actions(self, actions)
         result = self.process_actions(dict(actions))
         rewards, terminations, truncations, told = checked_verdict(name, self.agents, result)
-        turns.steps += 1
+        self.__steps += 1
         for agent, reward in rewards.items():
-            turns.unpaid[agent] += reward
+            self.__unpaid[agent] += reward
             self.cumulative[agent] += reward
         record = None if self.spec is None else self.spec.record
         limit = self.max_steps if record is None or record.max_turns is None else record.max_turns
-        out_of_steps = limit is not None and turns.steps >= limit
+        out_of_steps = limit is not None and self.__steps >= limit
         return self.__go_on(told, self.__take_out(terminations, truncations, cut_off=out_of_steps))
 
     def truncate_all(self) -> JointStepResult:
@@ -261,12 +252,12 @@ class MultiAgentEnv(Env):
     @property
     def acting(self) -> tuple[str, ...]:
         """Who has to act now; nobody outside an episode."""
-        return tuple(self.agent_selector.selected) if self.__turns.live else ()
+        return tuple(self.agent_selector.selected) if self.__live else ()
 
     def __enter(self, agent: str) -> None:
-        self.cumulative[agent] = self.__turns.unpaid[agent] = 0.0
+        self.cumulative[agent] = self.__unpaid[agent] = 0.0
         self.terminations[agent] = self.truncations[agent] = False
-        self.__turns.news[agent] = {"seed": self.np_random_seed}
+        self.__news[agent] = {"seed": self.np_random_seed}
 
     def __take_out(
         self, terminations: Mapping[str, bool], truncations: Mapping[str, bool], *, cut_off: bool
@@ -285,9 +276,9 @@ class MultiAgentEnv(Env):
 
     def __go_on(self, told: Mapping[str, Info], ended: list[str]) -> JointStepResult:
         """Choose who acts next; return what they and those who ended are given."""
-        name, turns = self.env_id or type(self).__name__, self.__turns
+        name = self.env_id or type(self).__name__
         for agent, info in told.items():
-            turns.news[agent].update(info)
+            self.__news[agent].update(info)
         acting = self.agent_selector.next() if self.agents else []
         wrong = [agent for agent in acting if agent not in self.agents]
         if wrong or (self.agents and not acting):
@@ -295,33 +286,16 @@ class MultiAgentEnv(Env):
                 f"{name}: the agent_selector chose {named(wrong) or 'nobody'} to act next, and "
                 f"{named(self.agents)} take part"
             )
-        turns.live = bool(self.agents)
+        self.__live = bool(self.agents)
         for agent in ended:
-            turns.news[agent]["final_obs"] = checked_observation(name, agent, self.observe(agent))
+            self.__news[agent]["final_obs"] = checked_observation(name, agent, self.observe(agent))
         rewards, infos = {}, {}
         for agent in (*acting, *ended):
-            rewards[agent], turns.unpaid[agent] = turns.unpaid[agent], 0.0
-            infos[agent], turns.news[agent] = turns.news[agent], {}
+            rewards[agent], self.__unpaid[agent] = self.__unpaid[agent], 0.0
+            infos[agent], self.__news[agent] = self.__news[agent], {}
         observations = {agent: checked_observation(name, agent, self.observe(agent)) for agent in acting}
         if self.render_mode == "human" and isinstance(drawing := self.render(), str):
             from gem_core.terminal import Terminal
 
             Terminal().show_drawing(drawing)
         return observations, rewards, dict(self.terminations), dict(self.truncations), infos
-
-
-@dataclass
-class _Turns:
-    """The private state of an episode that the base class keeps.
-
-    Args:
-        live: Whether the episode is under way.
-        steps: Number of steps.
-        unpaid: Rewards that ``step`` has not returned yet, by agent.
-        news: Infos that it has not returned yet.
-    """
-
-    live: bool = False
-    steps: int = 0
-    unpaid: dict[str, float] = field(default_factory=dict)
-    news: dict[str, Info] = field(default_factory=dict)
