@@ -93,12 +93,8 @@ def test_what_is_neither_a_wrapper_nor_a_tool_is_refused() -> None:
 def test_tools_around_tools_are_refused() -> None:
     """They would count, explain and refuse each other's calls apart; make gathers them instead."""
     inner = gem.make("toy:Countdown-v0", wrappers=[Notebook(), "concat"])
-    with pytest.raises(ArgumentError) as caught:
+    with pytest.raises(ArgumentError, match="already: note;"):
         ToolEnv(inner, [Calculator()])
-    assert str(caught.value) == (
-        "there are tools around this environment already: note; give all tools to one ToolEnv, or to make(), which "
-        "gathers them"
-    )
     assert list(gem.make(inner.spec, wrappers=[Calculator()]).get_wrapper_attr("tools")) == ["note", "calculator"]
 
 
@@ -197,17 +193,13 @@ def test_the_tools_explain_themselves_in_one_text() -> None:
     )
     assert ToolEnv(EchoEnv(), [Notebook()], max_tool_uses=0).reset()[0] == "Say something."
     assert "You have" not in ToolEnv(EchoEnv(), [Notebook()], max_tool_uses=None).reset()[0]
-    assert ToolEnv(EchoEnv(), [AsyncNotebook()], instructions="Use it.").reset()[0] == "Say something.\nUse it.\n"
-
-
-def test_a_tool_of_few_words_and_one_call_are_explained_well() -> None:
-    """Without a gap where a description would stand, and in the singular."""
 
     class Terse(Notebook):
         description = ""
 
     explained = ToolEnv(EchoEnv(), [Terse()], max_tool_uses=1).reset()[0]
     assert "You have 1 tool call.\n- note: Call it with <note>line</note>" in explained
+    assert ToolEnv(EchoEnv(), [AsyncNotebook()], instructions="Use it.").reset()[0] == "Say something.\nUse it.\n"
 
 
 def test_tools_can_be_changed_by_a_wrapper_outside() -> None:

@@ -22,13 +22,9 @@ def json_call(name: str, **arguments: Any) -> str:
 
 def test_two_tools_of_one_name_are_refused(toolbox: Path) -> None:
     """Calls could not be told apart; the error says where both come from."""
-    with pytest.raises(ArgumentError) as caught:
+    with pytest.raises(ArgumentError, match="'note': an instance of Notebook and an instance of Notebook"):
         ToolEnv(EchoEnv(), [Notebook(), Notebook()])
-    assert str(caught.value) == (
-        "two tools have one name, 'note': an instance of Notebook and an instance of Notebook; calls could not be told "
-        "apart, so leave one out, or give it another name by its options"
-    )
-    with pytest.raises(ArgumentError, match="two tools have one name, 'look': one of 'box' and one of 'box'"):
+    with pytest.raises(ArgumentError, match="'look': one of 'box' and one of 'box'"):
         ToolEnv(EchoEnv(), ["box", "box"])
     renamed = ToolEnv(EchoEnv(), ["box", ("box", {"prefix": "my_"})])
     assert list(renamed.tools) == ["look", "count", "my_look", "my_count"]

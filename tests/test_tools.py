@@ -11,8 +11,6 @@ from typing import Any
 
 import pydantic
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from toys import AsyncNotebook, Calculator, CountdownEnv, EchoEnv, Notebook
 
 import gem_core as gem
@@ -64,16 +62,11 @@ def test_the_three_text_forms_mean_the_same(call: str) -> None:
     assert info["tool"]["lines"] == 1
 
 
-def test_what_follows_the_first_call_is_left_out_of_the_parsed_action() -> None:
-    """One call of a response is executed; the rest was never read."""
-    env = tool_env()
-    info = env.step("first <note>a</note> then <note>b</note> \\boxed{7}")[4]
+def test_the_first_complete_call_is_executed_and_the_rest_is_not_read() -> None:
+    """A tag that is never closed does not hide a whole call behind it."""
+    info = tool_env().step("first <note>a</note> then <note>b</note> \\boxed{7}")[4]
     assert info["parsed_action"] == "first <note>a</note>"
     assert info["tool"]["uses"] == 1
-
-
-def test_the_first_complete_call_wins_over_an_incomplete_one() -> None:
-    """A tag that is never closed does not hide a whole call behind it."""
     info = tool_env().step(f"<note> {json_call('calculator', left=1, right=1)}")[4]
     assert info["tool"]["name"] == "calculator"
 
@@ -172,9 +165,8 @@ def test_custom_tools_of_the_api_take_plain_text() -> None:
 def test_rewards_of_tool_steps() -> None:
     """A readable call, its success and its failure are paid apart."""
     env = tool_env(tool_reward=0.05, tool_success_reward=0.25, tool_error_reward=-0.5)
-    assert env.step("<note>a</note>")[1] == pytest.approx(0.3)
-    assert env.step(json_call("calculator", left=1, right=0, operation="divide"))[1] == pytest.approx(-0.45)
-    assert env.step("<note>")[1] == pytest.approx(-0.5)
+    calls = ["<note>a</note>", json_call("calculator", left=1, right=0, operation="divide"), "<note>"]
+    assert [env.step(call)[1] for call in calls] == pytest.approx([0.3, -0.45, -0.5])
 
 
 def test_when_the_uses_are_spent_the_next_response_goes_to_the_task() -> None:
@@ -189,16 +181,9 @@ def test_first_observation_explains_the_tools_and_info_has_their_schemas() -> No
     """An agent learns how to call, and a server gets schemas."""
     env = ToolEnv(CountdownEnv(), [Calculator(), Notebook()])
     observation, info = env.reset(seed=1, options={"left": 2})
-    assert "- note: Writes a line into the notebook and shows it all. Call it with <note>line</note>" in observation
-    assert "You have 5 tool calls." in observation
     assert observation == info["feedback"] + info["suffix"]
     assert [tool["function"]["name"] for tool in info["tools"]] == ["calculator", "note"]
     assert info["tools"][1]["function"]["parameters"]["required"] == ["line"]
-
-
-def test_instructions_can_be_replaced_or_left_out() -> None:
-    """Own words, or none."""
-    assert ToolEnv(EchoEnv(), [Notebook()], instructions="Use <note>.").reset()[0] == "Say something.\nUse <note>.\n"
     assert ToolEnv(EchoEnv(), [Notebook()], instructions=False).reset()[0] == "Say something."
 
 
@@ -219,7 +204,7 @@ def test_fences_that_are_answers_are_left_to_the_task() -> None:
 
 
 def test_sessions_are_opened_lazily_and_closed_at_reset_and_close() -> None:
-    """A session belongs to one episode."""
+    """A session belongs to one episode; a forgotten environment leaves none open."""
     notebook = Notebook()
     env = tool_env(notebook)
     assert notebook.opened == 0
@@ -231,16 +216,11 @@ def test_sessions_are_opened_lazily_and_closed_at_reset_and_close() -> None:
     env.close()
     env.close()
     assert (notebook.opened, notebook.closed) == (2, 2)
-
-
-def test_sessions_are_closed_when_the_wrapper_is_dropped() -> None:
-    """A forgotten environment leaves no session open."""
-    notebook = Notebook()
-    env = tool_env(notebook)
-    env.step("<note>a</note>")
+    env.reset(seed=3)
+    env.step("<note>d</note>")
     del env
     gc.collect()
-    assert notebook.closed == 1
+    assert (notebook.opened, notebook.closed) == (3, 3)
 
 
 def test_asynchronous_tools_work_in_plain_code_and_in_coroutines() -> None:
@@ -250,16 +230,6 @@ def test_asynchronous_tools_work_in_plain_code_and_in_coroutines() -> None:
     assert plain.step("<note>a</note>") == asyncio.run(other.step_async("<note>a</note>"))
     plain.close()
     other.close()
-
-
-def test_mixed_tools_run_blocking_calls_in_threads() -> None:
-    """A blocking tool beside an asynchronous one does not hold up the loop."""
-
-    class Blocking(Calculator):
-        concurrency = "thread"
-
-    env = tool_env(Blocking(), AsyncNotebook())
-    assert "5.0" in str(asyncio.run(env.step_async(json_call("calculator", left=2, right=3)))[0])
 
 
 def test_fork_knows_how_things_stand() -> None:
@@ -281,7 +251,7 @@ def test_tools_and_wrappers_are_made_by_name_in_one_list(offer: Callable[..., No
 
 @pytest.mark.parametrize("uses", [-1, 1.5, "2"])
 def test_a_limit_of_uses_is_a_whole_number(uses: Any) -> None:
-    with pytest.raises(ArgumentError, match="max_tool_uses must be a whole number from 0 up or None"):
+    with pytest.raises(ArgumentError, match="max_tool_uses"):
         ToolEnv(EchoEnv(), [Notebook()], max_tool_uses=uses)
 
 
@@ -289,27 +259,6 @@ def test_tools_by_name_need_a_registered_tool() -> None:
     """The error says what there is, and what to install."""
     with pytest.raises(UnknownToolError, match="no tool 'calculatr'"):
         ToolEnv(EchoEnv(), ["calculatr"])
-
-
-def test_a_tool_that_returns_nonsense_is_an_observation() -> None:
-    """Even a broken tool raises nothing for the trainer."""
-
-    class Broken(Calculator):
-        def call(self, arguments: Any, session: Any) -> Any:
-            return 3
-
-    observation = tool_env(Broken()).step(json_call("calculator", left=1, right=1))[0]
-    assert "The tool failed: TypeError: calculator returned int" in str(observation)
-
-
-def test_a_tool_whose_session_cannot_be_opened_is_an_observation() -> None:
-    """The session is tried again at the next call."""
-
-    class Locked(Notebook):
-        def open(self) -> list[str]:
-            raise OSError("locked")
-
-    assert "The tool failed: OSError: locked" in str(tool_env(Locked()).step("<note>a</note>")[0])
 
 
 @pytest.mark.parametrize("action", hostile_actions(), ids=lambda action: repr(action[:12]))
@@ -321,15 +270,6 @@ def test_hostile_responses_never_raise(action: str) -> None:
     assert reward == reward
 
 
-@given(st.text(alphabet='<>/`{}"notel_cal \n:[]'))
-def test_a_found_call_lies_within_the_response(action: str) -> None:
-    """Start and end are places in the text; a complete call is not empty."""
-    call = tool_env().find_call(action)
-    if call is not None:
-        assert 0 <= call.start <= len(action)
-        assert call.error is not None or call.start < call.end <= len(action)
-
-
 def test_schema_is_the_openai_form() -> None:
     """As a chat server wants it."""
     schema = Calculator().schema()
@@ -338,28 +278,12 @@ def test_schema_is_the_openai_form() -> None:
     assert schema["function"]["parameters"]["properties"]["operation"]["default"] == "add"
 
 
-def test_parameters_without_exactly_one_text_have_no_text_form() -> None:
-    """A tag could not say which parameter it fills."""
-
-    class Two(Calculator):
-        name = "two"
-
-        class Parameters(pydantic.BaseModel):
-            """Two texts."""
-
-            first: str
-            second: str
-
-    assert Two().text_parameter is None
-    assert Two().parse("<two>x</two>") is None
-
-
 def test_tools_are_refused_outside_an_episode() -> None:
     """Before the first reset and after the end, as every other step is; a fork knows it too."""
     notebook = Notebook()
     env = ToolEnv(CountdownEnv(), [notebook])
     for _ in range(2):
-        with pytest.raises(ResetNeededError, match="the episode is over or has not begun"):
+        with pytest.raises(ResetNeededError, match="CountdownEnv"):
             env.step("<note>a</note>")
         env.reset(seed=1, options={"left": 1})
         env.step("the answer")
@@ -398,6 +322,20 @@ def test_a_tool_that_fails_in_odd_ways_is_an_observation(operation: str, message
     """An exit, content that is none, a validator that raises what it likes."""
     env = tool_env(Failing())
     assert message in str(env.step(json_call("calculator", left=1, right=1, operation=operation))[0])
+
+
+def test_a_tool_whose_session_cannot_be_opened_is_an_observation() -> None:
+    """The session is tried again at the next call."""
+
+    class Locked(Notebook):
+        def open(self) -> list[str]:
+            if super().open() == [] and self.opened == 1:
+                raise OSError("locked")
+            return []
+
+    env = tool_env(Locked())
+    assert "The tool failed: OSError: locked" in str(env.step("<note>a</note>")[0])
+    assert "Output of note" in str(env.step("<note>a</note>")[0])
 
 
 class ThreadNotebook(Notebook):
