@@ -232,11 +232,6 @@ class Crashing(OwnClass):
         return gem.TERMINAL_STATE, float(correct), True, False, {"correct": correct}
 
 
-def mumbles(observation: str) -> str:
-    """Answer as an agent that never writes a box."""
-    return "It may be Paris."
-
-
 class TwoTries(OwnClass):
     """Two tries; a wrong answer is told the right one before the second."""
 

@@ -113,17 +113,6 @@ def test_json_has_rates_and_problems(capsys: pytest.CaptureFixture[str]) -> None
     assert {"null", "echo", "hedge"} >= {problem["kind"] for problem in found["problems"] if problem["fails"]}
 
 
-def test_unreadable_responses_of_a_model_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
-    """In a column of its own, with examples; they are the model's, and no defect of the environment."""
-    gem.register("audit-test:model", gem.DatasetEnv, rows=planted.ROWS)
-    with pytest.raises(SystemExit) as ended:
-        main(["audit", "audit-test:model", "--limit", "5", "--model", "planted:mumbles"])
-    printed = capsys.readouterr().out
-    assert ended.value.code == 0
-    assert printed.splitlines()[1].endswith("none      100.0%")
-    assert "note: 5 of 5 responses of planted:mumbles hold no answer that could be read" in printed
-
-
 def test_an_environment_that_cannot_be_made_is_not_sound(capsys: pytest.CaptureFixture[str]) -> None:
     """It is told why, and the others are audited all the same."""
     gem.register("audit-test:fine", gem.DatasetEnv, rows=planted.ROWS)

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import gem_core
 from gem_core.errors import ArgumentError, GemError
 from gem_eval.auditing.canary import Canary
-from gem_eval.auditing.exploits import MOST_REPEATS, Exploits
-from gem_eval.auditing.forms import BOXED, RAW, TAGGED, Form, finish_of, form_of_words
-from gem_eval.auditing.leaks import Look, find_leaks
+from gem_eval.auditing.exploits import MOST_REPEATS, play_exploits
+from gem_eval.auditing.forms import BOXED, RAW, TAGGED, Form, content_of, finish_of, form_of_words
+from gem_eval.auditing.leaks import RowView, find_leaks
 from gem_eval.auditing.policies import GUESSES, plain_call
-from gem_eval.auditing.results import KINDS, EnvAudit, Rate, lower_bound
+from gem_eval.auditing.results import CHANCE_MARGIN, KINDS, EnvAudit, Problem, Rate, lower_bound
 from gem_eval.auditing.rows import Asked, check_contamination, check_rows, questions_of, rows_of
-from gem_eval.auditing.stage import Played, Row, Stage
-from gem_eval.auditing.tally import CHANCE_MARGIN, OnDone, Tally, says, shown
-from gem_eval.auditing.texts import normal
+from gem_eval.auditing.stage import Played, Respond, Row, Stage, says
+from gem_eval.auditing.texts import holds, normal
 
+_UNKNOWN_CHANCE = 0.1
 _ROWS_WITH_TOOLS = 10
 """Rows in which each tool is called."""
+
+OnDone = Callable[[str], object]
+"""Called with what was done, as ``"math:Sample: injection"``."""
 
 
 def audit(
@@ -60,71 +63,117 @@ def audit(
             )
     columns = [str((kwargs or {}).get("question_key") or "question")]
     others = [(each, questions_of(each, columns)) for each in against]
-    return [_audited(spec.id, kwargs or {}, limit, seed, others, on_done or (lambda _: None)) for spec in specs]
-
-
-def _audited(
-    env_id: str,
-    kwargs: Mapping[str, Any],
-    limit: int,
-    seed: int,
-    others: Sequence[tuple[str, list[str]]],
-    on_done: OnDone,
-) -> EnvAudit:
-    found = EnvAudit(env_id)
-    try:
-        stage = Stage(env_id, kwargs, limit=limit, seed=seed)
-    except Exception as error:  # noqa: BLE001 - third-party code may raise anything
-        named = "" if isinstance(error, GemError) else f"{type(error).__name__}: "
-        found.failure = named + " ".join(str(error).split())
-        return found
-    canary = Canary()
-    try:
-        _Audit(stage, canary, found, on_done).run(others)
-    finally:
-        canary.close()
-        stage.close()
+    found = []
+    for spec in specs:
+        try:
+            stage = Stage(spec.id, kwargs or {}, limit=limit, seed=seed)
+        except Exception as error:  # noqa: BLE001 - third-party code may raise anything
+            named = "" if isinstance(error, GemError) else f"{type(error).__name__}: "
+            found.append(EnvAudit(spec.id, failure=named + " ".join(str(error).split())))
+            continue
+        canary = Canary()
+        try:
+            found.append(Audit(stage, canary, on_done or (lambda step: None)).run(others))
+        finally:
+            canary.close()
+            stage.close()
     return found
 
 
-class _Audit:
-    """The audit of one environment, step by step.
+class Audit:
+    """The audit of one environment: what is known of its rows, and what was counted.
 
     Args:
         stage: The environment.
         canary: What shows that a response was run.
-        found: What is filled in.
         on_done: See ``audit``.
     """
 
-    def __init__(self, stage: Stage, canary: Canary, found: EnvAudit, on_done: OnDone) -> None:
-        self.stage, self.canary = stage, canary
-        self.tally = Tally(stage, found, on_done)
+    def __init__(self, stage: Stage, canary: Canary, on_done: OnDone) -> None:
+        self.stage, self.canary, self._on_done = stage, canary, on_done
+        self.found = EnvAudit(stage.env_id, len(stage.rows))
         self.forms: list[Form] = [RAW, BOXED, TAGGED]
+        """In which the environment reads answers."""
         self.finish: str | None = None
+        """By which an agent says that it is done; None without such a word."""
         self.example = ""
+        """A valid response; empty if none is known."""
+        self.tools: list[Mapping[str, Any]] = []
         self.one_turn = True
-        self.episodes: list[Played] = []
-        """Those that are played again, to see whether they come out the same."""
+        """Whether episodes have one turn."""
+        self.views: dict[str, RowView] = {}
+        self.golds: dict[str, str] = {}
+        """The first gold action of each row."""
+        self._targets: dict[str, float] = {}
+        """What the gold actions of a row are paid, where they succeed."""
+        self.repeated: list[Played] = []
+        """Episodes that are played again, to see whether they come out the same."""
+        self._failed: dict[str, list[str]] = {"crash": [], "error": []}
+        self._played = 0
 
-    def run(self, others: Sequence[tuple[str, list[str]]]) -> None:
-        """Play all policies and look at all rows."""
-        self.tally.found.rows = len(self.stage.rows)
-        if not self._look():
-            return
-        self._play_gold()
-        self._check_rows(others)
-        self._play_chance()
-        self._play_constants()
-        self._call_tools()
-        exploits = Exploits(
-            self.tally, self.canary, self.forms, self.finish, self.example, self.tools, one_turn=self.one_turn
-        )
-        exploits.play()
-        self.episodes += exploits.episodes
-        self._check_leaks()
-        self._check_determinism()
-        self.tally.report_failures()
+    def run(self, others: Sequence[tuple[str, list[str]]]) -> EnvAudit:
+        """Play all policies and look at all rows; return what was found."""
+        if self._look():
+            self._play_gold()
+            self._check_rows(others)
+            self._play_chance()
+            self._play_constants()
+            self._call_tools()
+            play_exploits(self)
+            self._check_leaks()
+            self._check_determinism()
+            self._report_failures()
+        return self.found
+
+    # What all policies need.
+
+    def chance(self) -> float:
+        """Return how often an answer that knows nothing succeeds: the most frequent one, or a random one.
+
+        Where no gold answer is known, it is the upper bound of what random actions show.
+        """
+        random = self.found.rates.get("random")
+        if random is None or not random.episodes:
+            return _UNKNOWN_CHANCE if self.found.chance is None else self.found.chance
+        if not self.golds:
+            return 1 - lower_bound(random.episodes - random.solved, random.episodes)
+        return max(self.found.chance or 0.0, random.solved / random.episodes)
+
+    def rate(self, policy: str) -> Rate:
+        """Return the rate of a policy."""
+        return self.found.rates.setdefault(policy, Rate(KINDS[policy]))
+
+    def solves(self, played: Played) -> bool:
+        """Tell whether an episode succeeded, as far as that is known of its row."""
+        return not played.error and not played.crash and played.solved(self._targets.get(played.row.name))
+
+    def names_gold(self, played: Played) -> bool:
+        """Tell whether a response names the gold answer of its row."""
+        gold = self.golds.get(played.row.name)
+        return gold is not None and holds(normal(played.response), normal(content_of(gold)))
+
+    def count(self, rate: Rate, played: Played, *, solved: bool) -> bool:
+        """Count an episode, and return whether it succeeded."""
+        self._played += 1
+        if played.crash or played.error:
+            kind = "crash" if played.crash else "error"
+            self._failed[kind].append(f"{played.row.name}: {played.crash or played.error}")
+            return False
+        rate.episodes += 1
+        rate.solved += solved
+        rate.returns += played.total
+        return solved
+
+    def problem(
+        self, kind: str, share: float, message: str, examples: Sequence[Played | str] = (), *, fails: bool = True
+    ) -> None:
+        """Add a problem; see ``Problem``."""
+        told = tuple(each if isinstance(each, str) else f"{each.row.name}: {each.shown}" for each in examples[:3])
+        self.found.problems.append(Problem(kind, share, message, told, fails))
+
+    def done(self, step: str) -> None:
+        """Say that a step is done."""
+        self._on_done(f"{self.stage.env_id}: {step}")
 
     # What a row shows, and its gold answer.
 
@@ -133,7 +182,7 @@ class _Audit:
         some = [self.stage.play(row, self._random, most_turns=1) for row in self.stage.rows[:3]]
         first = some[0]
         if first.crash and not first.turns and not first.observation:
-            self.tally.found.failure = f"reset fails: {first.crash}"
+            self.found.failure = f"reset fails: {first.crash}"
             return False
         self.example = first.response
         self.one_turn = all(turn.over for played in some for turn in played.turns)
@@ -150,51 +199,44 @@ class _Audit:
         rate = Rate("gold")
         failed: list[str] = []
         for row in self.stage.rows:
-            played = self.stage.play(row, self._gold)
-            look = self.tally.looks[row.name] = Look(row.name, None, [played.observation], [played.info])
-            look.texts.append(str(played.info.get("system") or ""))
+            played = self.stage.play(row, lambda _observation, _info, _turn: self.stage.gold())
+            texts = [played.observation, str(played.info.get("system") or "")]
+            view = self.views[row.name] = RowView(row.name, None, texts, [played.info])
             if not played.turns and not played.crash:
                 continue  # its gold answer is not known
-            gold = played.turns[0].response if played.turns else None
-            if gold is not None:
-                self.tally.golds[row.name] = gold
+            if played.turns:
+                gold = self.golds[row.name] = played.turns[0].response
                 self.one_turn = self.one_turn and len(played.turns) == 1
                 if not played.solved(None) and not played.error:
                     played = self._in_another_form(row, gold, played)
-                look.gold = self.tally.content(gold)
-                look.whole = len(played.turns) == 1
-            self.episodes.append(played)
-            if self.tally.count(rate, played, solved=played.solved(None)):
-                self.tally.targets[row.name] = max(played.total, 1e-6) if played.total > 0 else 1.0
+                view.gold, view.whole = content_of(gold), len(played.turns) == 1
+            self.repeated.append(played)
+            if self.count(rate, played, solved=played.solved(None)):
+                self._targets[row.name] = max(played.total, 1e-6) if played.total > 0 else 1.0
             else:
-                failed.append(f"{row.name}: {played.crash or played.error or shown(played)}")
+                failed.append(f"{row.name}: {played.crash or played.error or played.shown}")
         if rate.episodes or failed:
-            self.tally.found.rates["gold"] = rate
+            self.found.rates["gold"] = rate
         if failed:
-            share = len(failed) / len(self.stage.rows)
             message = f"{len(failed)} of {len(self.stage.rows)} gold answers do not succeed"
-            self.tally.problem("gold", share, message, failed)
-        if not self.tally.golds and not failed:
-            self.tally.problem("unknown", 1.0, "no gold answer is known: gold_action() returns None", [], fails=False)
-        counts = Counter(normal(look.gold) for look in self.tally.looks.values() if look.gold)
-        if self.one_turn and len(self.tally.golds) > 1:
-            self.tally.found.chance = counts.most_common(1)[0][1] / len(self.tally.golds)
-        self.tally.did("gold")
-
-    def _gold(self, observation: str, info: Mapping[str, Any], turn: int) -> str | None:
-        return self.stage.gold()
+            self.problem("gold", len(failed) / len(self.stage.rows), message, failed)
+        if not self.golds and not failed:
+            self.problem("unknown", 1.0, "no gold answer is known: gold_action() returns None", fails=False)
+        counts = Counter(normal(view.gold) for view in self.views.values() if view.gold)
+        if self.one_turn and len(self.golds) > 1:
+            self.found.chance = counts.most_common(1)[0][1] / len(self.golds)
+        self.done("gold")
 
     def _random(self, observation: str, info: Mapping[str, Any], turn: int) -> str | None:
         return self.stage.sample()
 
     def _in_another_form(self, row: Row, gold: str, failed: Played) -> Played:
         """Try the gold answer in other forms, for a task that reads answers in one of its own."""
-        content = Form.of_example(gold).content(gold)
         for form in (RAW, TAGGED, BOXED):
-            played = self.stage.play(row, says(form.around(content)), most_turns=1)
+            response = form.around(content_of(gold))
+            played = self.stage.play(row, says(response), most_turns=1)
             if played.solved(None):
-                self.forms = [form]
-                self.tally.golds[row.name] = form.around(content)
+                self.forms, self.golds[row.name] = [form], response
                 return played
         return failed
 
@@ -202,47 +244,44 @@ class _Audit:
         try:
             asked = rows_of(self.stage.env_id, self.stage.env)
         except Exception as error:  # noqa: BLE001 - third-party code may raise anything
-            self.tally.problem("crash", 1.0, f"its rows cannot be read: {type(error).__name__}: {error}", [])
+            self.problem("crash", 1.0, f"its rows cannot be read: {type(error).__name__}: {error}")
             return
         fixed = asked is not None
         for each in asked or ():
-            if each.name in self.tally.looks:
-                self.tally.looks[each.name].question = each.question
+            if each.name in self.views:
+                self.views[each.name].question = each.question
         if asked is None and self.stage.count is not None:
             asked = [
-                Asked(look.name, look.texts[0], look.texts[0], normal(look.gold) if look.gold else "")
-                for look in self.tally.looks.values()
+                Asked(view.name, view.texts[0], view.texts[0], normal(view.gold) if view.gold else "")
+                for view in self.views.values()
             ]
         if asked:
-            self.tally.found.problems += check_rows(asked, fixed=fixed)
+            self.found.problems += check_rows(asked, fixed=fixed)
             for source, questions in others:
-                self.tally.found.problems += check_contamination(asked, source, questions)
+                self.found.problems += check_contamination(asked, source, questions)
         elif others:
-            self.tally.problem("contamination", 0.0, "it has no rows that could be compared", [], fails=False)
-        self.tally.did("rows")
+            self.problem("contamination", 0.0, "it has no rows that could be compared", fails=False)
+        self.done("rows")
 
-    # The policies.
+    # What may succeed by chance.
 
     def _play_chance(self) -> None:
-        """Play what may succeed by chance: random actions, the observation itself, and the gold answers of others."""
+        """Play random actions, the observation itself, and the gold answers of other rows."""
         rows = self.stage.rows
         if self.example:
             played = self._each("random", [(row, self._random) for row in rows])
-            self.episodes += played
+            self.repeated += played
             for episode in played[:20]:
-                self.tally.note_later_turns(episode, "the feedback")
+                self._note_later_turns(episode, "the feedback")
             # Of a few questions all may be solved by luck, or by who draws answers well.
-            everywhere = _everywhere([self.tally.solves(each) for each in played])
-            if everywhere or self.tally.found.chance is not None:
-                chance = self.tally.found.chance or 0.0
-                self._beyond_chance("random", played, min(chance, 0.5), "a random answer", fails=everywhere)
-        played = self._each(
-            "echo", [(row, lambda observation, _i, _t: self.forms[0].around(observation)) for row in rows]
-        )
-        self._beyond_chance("echo", played, self.tally.chance(), "the observation, given back as the answer,")
-        if self.one_turn and len(self.tally.golds) > 1:
-            pairs = self._gold_of_others()
-            played = self._each("other", [(row, says(response)) for row, response in pairs])
+            everywhere = _everywhere([self.solves(each) for each in played])
+            if everywhere or self.found.chance is not None:
+                chance = min(self.found.chance or 0.0, 0.5)
+                self._beyond_chance("random", played, chance, "a random answer", fails=everywhere)
+        played = self._each("echo", [(row, lambda shown, _info, _turn: self.forms[0].around(shown)) for row in rows])
+        self._beyond_chance("echo", played, self.chance(), "the observation, given back as the answer,")
+        if self.one_turn and len(self.golds) > 1:
+            played = self._each("other", [(row, says(response)) for row, response in self._gold_of_others()])
             self._beyond_chance("other", played, 0.0, "the gold answer of another row")
 
     def _play_constants(self) -> None:
@@ -253,88 +292,105 @@ class _Audit:
             solved: list[Played] = []
             for row in self.stage.rows:
                 played = self.stage.play(row, says(response), most_turns=MOST_REPEATS)
-                self.tally.count(Rate("chance"), played, solved=False)
-                if not self.tally.solves(played):
+                self.count(Rate("chance"), played, solved=False)
+                if not self.solves(played):
                     break
                 solved.append(played)
             if len(solved) == len(self.stage.rows) and _everywhere([True] * len(solved)):
-                message = f"constant: one response solves all of {len(solved)} rows"
-                self.tally.problem("constant", 1.0, message, [f"{each.row.name}: {shown(each)}" for each in solved])
+                self.problem("constant", 1.0, f"constant: one response solves all of {len(solved)} rows", solved)
                 break
-        self.tally.did("constant")
+        self.done("constant")
 
     def _call_tools(self) -> None:
         """Call each tool once, and note what it returns."""
         for row in self.stage.rows[:_ROWS_WITH_TOOLS]:
-            for tool in self.tally.looks[row.name].infos[0].get("tools") or ():
+            for tool in self.views[row.name].infos[0].get("tools") or ():
                 name, call = plain_call(tool)
                 played = self.stage.play(row, says(call), most_turns=1)
-                self.tally.count(Rate("chance"), played, solved=False)
-                self.tally.note_later_turns(played, f"the tool {name!r}")
-        self.tally.did("tools")
+                self.count(Rate("chance"), played, solved=False)
+                self._note_later_turns(played, f"the tool {name!r}")
+        self.done("tools")
+
+    def _note_later_turns(self, played: Played, source: str) -> None:
+        """Add what an episode showed before its end, if it cannot be what the agent said.
+
+        Args:
+            played: The episode.
+            source: Where its observations come from, as "the feedback".
+        """
+        view = self.views[played.row.name]
+        said = normal("\n".join(turn.response for turn in played.turns))
+        if not view.gold or not holds(said, normal(view.gold)):
+            before_end = [turn for turn in played.turns[:3] if not turn.over]
+            view.later.setdefault(source, []).extend(turn.observation for turn in before_end)
+            view.infos += [turn.info for turn in before_end]
 
     def _gold_of_others(self) -> list[tuple[Row, str]]:
         """Return each row with the gold answer of the next row that has a different one."""
-        known = [row for row in self.stage.rows if row.name in self.tally.golds]
+        known = [row for row in self.stage.rows if row.name in self.golds]
+        plain = {row.name: normal(content_of(self.golds[row.name])) for row in known}
         pairs = []
         for at, row in enumerate(known):
-            own = normal(self.tally.content(self.tally.golds[row.name]))
-            for other in known[at + 1 :] + known[:at]:
-                if normal(self.tally.content(self.tally.golds[other.name])) != own:
-                    pairs.append((row, self.tally.golds[other.name]))
-                    break
+            different = (each for each in known[at + 1 :] + known[:at] if plain[each.name] != plain[row.name])
+            pairs += [(row, self.golds[other.name]) for other in different][:1]
         return pairs
 
-    def _each(self, policy: str, plays: Iterable[tuple[Row, Any]]) -> list[Played]:
-        rate = self.tally.found.rates.setdefault(policy, Rate(KINDS[policy]))
+    def _each(self, policy: str, plays: Iterable[tuple[Row, Respond]]) -> list[Played]:
         episodes = [self.stage.play(row, respond) for row, respond in plays]
         for played in episodes:
-            self.tally.count(rate, played, solved=self.tally.solves(played))
-        self.tally.did(policy)
+            self.count(self.rate(policy), played, solved=self.solves(played))
+        self.done(policy)
         return episodes
 
     def _beyond_chance(
         self, policy: str, played: Sequence[Played], chance: float, what: str, *, fails: bool = True
     ) -> None:
         judged = [each for each in played if not each.error and not each.crash]
-        solved = [each for each in judged if self.tally.solves(each)]
+        solved = [each for each in judged if self.solves(each)]
         if lower_bound(len(solved), len(judged)) > chance + CHANCE_MARGIN:
             message = f"{policy}: {what} solves {len(solved)} of {len(judged)} rows; by chance {chance:.0%}"
-            examples = [f"{each.row.name}: {shown(each)}" for each in solved]
-            self.tally.problem(policy, len(solved) / len(judged), message, examples, fails=fails)
+            self.problem(policy, len(solved) / len(judged), message, solved, fails=fails)
 
     # What is looked at when all is played.
 
     def _check_leaks(self) -> None:
-        named = {each.message.partition("repeating ")[2] for each in self.tally.found.problems if each.kind == "leak"}
-        for problem in find_leaks(list(self.tally.looks.values())):
+        named = [each.message.partition("repeating ")[2] for each in self.found.problems if each.kind == "leak"]
+        for problem in find_leaks(list(self.views.values())):
             if not any(source and source in problem.message for source in named):
-                self.tally.found.problems.append(problem)
-        self.tally.did("leaks")
+                self.found.problems.append(problem)
+        self.done("leaks")
 
     def _check_determinism(self) -> None:
-        differing: list[str] = []
-        again = 0
         exact = self.stage.deterministic
-        episodes = (
-            self.episodes if exact else [each for each in self.episodes if each.row.name in self.tally.golds][:10]
-        )
+        episodes = self.repeated if exact else [each for each in self.repeated if each.row.name in self.golds][:10]
+        episodes = [played for played in episodes if not played.crash and not played.error and played.turns]
+        differing: list[str] = []
         for played in episodes:
-            if played.crash or played.error or not played.turns:
-                continue
-            again += 1
             before, after = played.record(exact), self.stage.replay(played).record(exact)
             if before != after:
                 differing.append(f"{played.row.name}: {_difference(before, after)}")
         if differing:
-            message = f"{len(differing)} of {again} episodes come out differently with the same seed and responses"
-            self.tally.problem("nondeterministic", len(differing) / again, message, differing)
-        self.tally.did("again")
+            message = (
+                f"{len(differing)} of {len(episodes)} episodes come out differently with the same seed and responses"
+            )
+            self.problem("nondeterministic", len(differing) / len(episodes), message, differing)
+        self.done("again")
+
+    def _report_failures(self) -> None:
+        """Add a problem where episodes ended in exceptions, and one where they ended in errors."""
+        reasons = {
+            "crash": "ended in an exception, which no response may cause",
+            "error": "ended in an error of the environment",
+        }
+        for kind, failed in self._failed.items():
+            if failed:
+                message = f"{len(failed)} of {self._played} episodes {reasons[kind]}"
+                self.problem(kind, len(failed) / self._played, message, list(dict.fromkeys(failed)))
 
 
 def _everywhere(solved: Sequence[bool]) -> bool:
     """Tell whether all episodes are solved, and are enough for more than half of all to be."""
-    return bool(solved) and all(solved) and lower_bound(len(solved), len(solved)) > 0.5
+    return all(solved) and lower_bound(len(solved), len(solved)) > 0.5
 
 
 def _difference(before: Sequence[str], after: Sequence[str]) -> str:

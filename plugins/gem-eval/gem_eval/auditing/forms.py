@@ -69,3 +69,8 @@ def finish_of(text: str) -> str | None:
     """Return the response by which an agent says that it is done, as ``<finish/>``, where a task's words name one."""
     found = _FINISH.search(text)
     return None if found is None else found[0]
+
+
+def content_of(response: str) -> str:
+    """Return the answer that a response holds."""
+    return Form.of_example(response).content(response)

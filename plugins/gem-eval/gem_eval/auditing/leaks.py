@@ -1,18 +1,18 @@
-"""Whether what an agent is shown gives the gold answer away."""
+"""Whether what an agent sees gives the gold answer away."""
 
 from __future__ import annotations
 
 import base64
-import binascii
 import codecs
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any
 
 from gem_eval.auditing.results import Problem, tail
-from gem_eval.auditing.texts import holds, normal
+from gem_eval.auditing.texts import holds, normal, places
 
 _UNLIKELY = 1e-3
 _OTHERS = 20
@@ -26,11 +26,7 @@ _SHOWN_ANYWAY = {"feedback", "suffix", "messages", "system", "tools", "tool_inst
 _TELLING = (
     r"(?:answers?|ans|solution|gold|labels?|target|expected|reference|truth|key|hint|secret|hidden|correct|debug)"
 )
-_MARK = re.compile(
-    rf"\b{_TELLING}\b"
-    r"[^\n:=]{0,20}[:=]\s*(\S[^\n]{0,80})",
-    re.IGNORECASE,
-)
+_MARK = re.compile(rf"\b{_TELLING}\b[^\n:=]{{0,20}}[:=]\s*(\S[^\n]{{0,80}})", re.IGNORECASE)
 _DECODING = re.compile(r"\b(?:decod|decrypt|deciph|cipher|convert|revers|backward|unscrambl|spell)", re.IGNORECASE)
 """Words of a task that is to read a code, where the observation holds the answer for good reason."""
 _BRIEF = 200
@@ -38,9 +34,31 @@ _BRIEF = 200
 _AROUND = " .,;:!?()[]{}<>*\"'`-"
 
 
+def _decoded(decode: Callable[[str], bytes], text: str) -> str:
+    try:
+        value = decode(text).decode()
+    except ValueError:
+        return ""
+    return value.strip() if value.isprintable() else ""
+
+
+_ENCODERS: dict[str, Callable[[str], str]] = {
+    "base64": lambda text: base64.b64encode(text.encode()).decode().rstrip("="),
+    "hexadecimal": lambda text: text.encode().hex(),
+    "backward": lambda text: text[::-1] if len(text) > 3 and text != text[::-1] else "",
+    "rot13": lambda text: codecs.encode(text, "rot13") if sum(map(str.isalpha, text)) > 3 else "",
+}
+_DECODERS: dict[str, Callable[[str], str]] = {
+    "base64": lambda text: _decoded(lambda code: base64.b64decode(code + "=" * (-len(code) % 4), validate=True), text),
+    "hexadecimal": lambda text: _decoded(bytes.fromhex, text),
+    "backward": lambda text: text[::-1],
+    "rot13": lambda text: codecs.encode(text, "rot13"),
+}
+
+
 @dataclass
-class Look:
-    """What an agent is shown of a row before the end.
+class RowView:
+    """What an agent sees of a row before the end.
 
     Args:
         name: Of the row.
@@ -87,13 +105,12 @@ class Look:
     def claims(self) -> dict[str, str]:
         """Return what the text gives behind words such as "answer:", and at its end, by where it stands."""
         found: dict[str, str] = {}
-        for match in _MARK.finditer(self.text):
+        for match in list(_MARK.finditer(self.text))[:3]:
             value = match[1].strip()
             mark = " ".join(match[0][: match.start(1) - match.start()].split())
-            short = re.split(r"[\s,;)\]>]|-->", value)[0]
-            for each in (value, value.rstrip(")]}>-. "), short):
-                found.setdefault(f"what follows {mark!r} in the observation ({len(found)})", each)
-        return dict(list(found.items())[:9]) | self._ends()
+            for each in (value, value.rstrip(")]}>-. "), re.split(r"[\s,;)\]>]|-->", value)[0]):
+                found[f"what follows {mark!r} in the observation ({len(found)})"] = each
+        return found | self._ends()
 
     def _ends(self) -> dict[str, str]:
         """Return the last line and the last word of each text, as they stand and decoded."""
@@ -111,83 +128,99 @@ class Look:
         return found
 
 
-def find_leaks(looks: Sequence[Look]) -> Iterator[Problem]:
+def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
+    if isinstance(value, Mapping):
+        for key, one in value.items():
+            yield from _leaves(one, f"{path}.{key}" if path else str(key))
+    elif isinstance(value, list | tuple):
+        for at, one in enumerate(value[:10]):
+            yield from _leaves(one, f"{path}.{at}")
+    elif isinstance(value, str | int | float) and not isinstance(value, bool):
+        yield path, str(value)[:_LONGEST]
+
+
+def find_leaks(views: Sequence[RowView]) -> Iterator[Problem]:
     """Yield the places that give gold answers away more often than chance.
 
     A gold answer of one letter stands in many a text; so each place is compared with how often it holds the gold
     answers of other rows. In what is shown as text, an answer may stand for good reason, as among the options of a
     question: there only a place that tells which text is the answer is a leak.
     """
-    known = [look for look in looks if look.gold]
-    golds = [normal(look.gold or "") for look in known]
-    if len(set(golds)) < 2:
-        return
-    yield from _in_infos(known, golds)
-    yield from _in_texts(known, golds)
-    yield from _in_later(known, golds)
-    yield from _encoded(known, golds)
+    known = [view for view in views if view.gold]
+    golds = [normal(view.gold or "") for view in known]
+    if len(set(golds)) > 1:
+        for search in (_in_infos, _in_texts, _in_later, _encoded):
+            yield from search(known, golds)
 
 
-def _in_infos(known: Sequence[Look], golds: Sequence[str]) -> Iterator[Problem]:
-    leaves = [{path: normal(value) for path, value in look.leaves().items()} for look in known]
+def _leak(
+    known: Sequence[RowView], hits: Sequence[int], message: str, examples: Sequence[str], fails: bool = True
+) -> Problem:
+    """Return what some rows give away, each row with its example; a note if that may be meant."""
+    shown = tuple(f"{known[at].name}: {examples[at]}" for at in hits[:3])
+    return Problem("leak" if fails else "shown", len(hits) / len(known), message, shown, fails)
+
+
+def _in_infos(known: Sequence[RowView], golds: Sequence[str]) -> Iterator[Problem]:
+    leaves = [{path: normal(value) for path, value in view.leaves().items()} for view in known]
     for path in sorted({path for each in leaves for path in each}):
         values = [each.get(path, "") for each in leaves]
         hits = [at for at, gold in enumerate(golds) if holds(values[at], gold)]
-        shown = sum(look.shows(value) for look, value in zip(known, values, strict=True)) > len(known) / 2
+        shown = sum(view.shows(value) for view, value in zip(known, values, strict=True)) > len(known) / 2
         enough = not shown or len(hits) >= MOSTLY * len(known)
-        if enough and _beyond_chance(hits, values, golds, holds):
-            examples = tuple(f"{known[at].name}: info {path} holds {golds[at]!r:.80}" for at in hits[:3])
-            yield Problem(
-                "leak", len(hits) / len(known), f"info[{path!r}] holds the gold answer before the end", examples
-            )
+        if enough and _beyond_chance(hits, values, golds):
+            message = f"info[{path!r}] holds the gold answer before the end"
+            yield _leak(known, hits, message, [f"info {path} holds {gold!r:.80}" for gold in golds])
         elif _tells(values, golds):
-            examples = tuple(f"{known[at].name}: {values[at]!r:.40} for {golds[at]!r:.40}" for at in range(3))
-            yield Problem("leak", 1.0, f"info[{path!r}] tells the gold answer before the end, as a code", examples)
+            message = f"info[{path!r}] tells the gold answer before the end, as a code"
+            told = [f"{value!r:.40} for {gold!r:.40}" for value, gold in zip(values, golds, strict=True)]
+            yield _leak(known, range(len(known)), message, told)
 
 
 def _tells(values: Sequence[str], golds: Sequence[str]) -> bool:
     """Tell whether a value decides the gold answer in all rows, and comes often enough for that to be no chance."""
-    if not all(values) or len(set(values)) > len(values) / 3 or len(set(golds)) < 2:
+    if not all(values) or len(set(values)) > len(values) / 3:
         return False
-    majority = Counter(golds).most_common(1)[0][1] / len(golds)
-    return len(set(zip(values, golds, strict=True))) == len(set(values)) and majority ** len(golds) < _UNLIKELY
+    return len(set(zip(values, golds, strict=True))) == len(set(values)) and _majority(golds) ** len(golds) < _UNLIKELY
 
 
-def _in_texts(known: Sequence[Look], golds: Sequence[str]) -> Iterator[Problem]:
-    texts = [normal(look.text) for look in known]
-    majority = Counter(golds).most_common(1)[0][1] / len(golds)
-    ends = [at for at, look in enumerate(known) if _ends_with(normal(look.texts[0]), golds[at])]
-    if len(ends) >= 0.8 * len(known) and tail(len(ends), len(known), majority) <= _UNLIKELY:
-        examples = tuple(f"{known[at].name}: {texts[at][-60:]!r}" for at in ends[:3])
-        yield Problem("leak", len(ends) / len(known), "the observation ends with the gold answer", examples)
+def _majority(golds: Sequence[str]) -> float:
+    """Return how often the most frequent gold answer is right."""
+    return Counter(golds).most_common(1)[0][1] / len(golds)
+
+
+def _in_texts(known: Sequence[RowView], golds: Sequence[str]) -> Iterator[Problem]:
+    """Yield what stands before the gold answer in most texts, or else that it stands in them."""
+    texts = [normal(view.text) for view in known]
+    ends = [at for at, view in enumerate(known) if _ends_with(normal(view.texts[0]), golds[at])]
+    if len(ends) >= 0.8 * len(known) and tail(len(ends), len(known), _majority(golds)) <= _UNLIKELY:
+        yield _leak(known, ends, "the observation ends with the gold answer", [repr(text[-60:]) for text in texts])
         return
     before: Counter[str] = Counter()
     for text, gold in zip(texts, golds, strict=True):
-        before.update({text[max(0, at - size) : at] for at in _places(text, gold) for size in (8, 14)})
+        marks = (text[max(0, at - size) : at] for at in islice(places(text, gold), 5) for size in (14, 8))
+        before.update(list(dict.fromkeys(marks)))
     for mark, _ in before.most_common(20):
         with_it = [at for at, text in enumerate(texts) if mark in text]
-        right = [at for at in with_it if holds_behind(texts[at], mark, golds[at])]
-        telling = sum(character.isalpha() for character in mark) >= 3
-        if not telling or len(right) < 0.8 * len(with_it) or tail(len(right), len(with_it), majority) > _UNLIKELY:
-            continue
-        examples = tuple(f"{known[at].name}: {mark!r} and then {golds[at]!r:.80}" for at in right[:3])
-        share = len(right) / len(known)
-        # Questions that are made from one pattern may give a number at the same place in each, and mean it.
-        fails = all(_is_said(texts[at], mark, golds[at], normal(known[at].question)) for at in right)
-        kind = "leak" if fails else "shown"
-        yield Problem(kind, share, f"the gold answer follows {mark!r} in the observation", examples, fails)
-        return
+        right = [at for at in with_it if _is_behind(texts[at], mark, golds[at])]
+        telling = sum(map(str.isalpha, mark)) >= 3
+        if (
+            telling
+            and len(right) >= 0.8 * len(with_it)
+            and tail(len(right), len(with_it), _majority(golds)) <= _UNLIKELY
+        ):
+            # Questions that are made from one pattern may give a number at the same place in each, and mean it.
+            fails = all(_is_said(texts[at], mark, golds[at], normal(known[at].question)) for at in right)
+            examples = [f"{mark!r} and then {gold!r:.80}" for gold in golds]
+            yield _leak(known, right, f"the gold answer follows {mark!r} in the observation", examples, fails)
+            return
     hits = [at for at, text in enumerate(texts) if holds(text, golds[at])]
-    if len(hits) >= 0.5 * len(known) and _beyond_chance(hits, texts, golds, holds):
-        examples = tuple(f"{known[at].name}: {golds[at]!r:.80}" for at in hits[:3])
-        yield Problem(
-            "shown",
-            len(hits) / len(known),
+    if len(hits) >= 0.5 * len(known) and _beyond_chance(hits, texts, golds):
+        message = (
             "the gold answer stands somewhere in the observation, those of other rows rarely: right where a question "
-            "shows its options or a passage",
-            examples,
-            fails=False,
+            "shows its options or a passage"
         )
+        yield _leak(known, hits, message, [f"{gold!r:.80}" for gold in golds], False)
 
 
 def _ends_with(text: str, gold: str) -> bool:
@@ -195,17 +228,10 @@ def _ends_with(text: str, gold: str) -> bool:
     return text.endswith(gold) and holds(text[-len(gold) - 2 :], gold)
 
 
-def _in_later(known: Sequence[Look], golds: Sequence[str]) -> Iterator[Problem]:
-    """Yield what tells the answer after another response: feedback, and tools that were called once."""
-    for source in sorted({source for look in known for source in look.later}):
-        texts = [normal("\n".join(look.later.get(source, ()))) for look in known]
-        hits = [at for at, look in enumerate(known) if look.whole and holds(texts[at], golds[at])]
-        hits = [at for at in hits if not holds(normal(known[at].texts[0]), golds[at])]
-        if hits and _beyond_chance(hits, texts, golds, holds):
-            examples = tuple(f"{known[at].name}: {golds[at]!r:.80} in {texts[at]!r:.80}" for at in hits[:3])
-            brief = all(len(texts[at]) <= _BRIEF + len(golds[at]) for at in hits)
-            kind, share = "leak" if brief else "shown", len(hits) / len(known)
-            yield Problem(kind, share, f"{source} holds the gold answer", examples, brief)
+def _is_behind(text: str, mark: str, gold: str) -> bool:
+    """Tell whether a gold answer stands right behind a mark."""
+    whole = r"(?![^\W_])" if gold[-1].isalnum() else ""
+    return re.search(re.escape(mark + gold) + whole, text) is not None
 
 
 def _is_said(text: str, mark: str, gold: str, question: str) -> bool:
@@ -216,87 +242,44 @@ def _is_said(text: str, mark: str, gold: str, question: str) -> bool:
     return bool(question) and question in text and mark + gold in text.replace(question, "\n")
 
 
-def holds_behind(text: str, mark: str, gold: str) -> bool:
-    """Tell whether a gold answer stands right behind a mark."""
-    start = text.find(mark)
-    while start >= 0:
-        behind = text[start + len(mark) :]
-        if behind.startswith(gold) and not (gold[-1].isalnum() and behind[len(gold) : len(gold) + 1].isalnum()):
-            return True
-        start = text.find(mark, start + 1)
-    return False
+def _in_later(known: Sequence[RowView], golds: Sequence[str]) -> Iterator[Problem]:
+    """Yield what tells the answer after another response: feedback, and tools that were called once."""
+    for source in sorted({source for view in known for source in view.later}):
+        texts = [normal("\n".join(view.later.get(source, ()))) for view in known]
+        hits = [at for at, view in enumerate(known) if view.whole and holds(texts[at], golds[at])]
+        hits = [at for at in hits if not holds(normal(known[at].texts[0]), golds[at])]
+        if hits and _beyond_chance(hits, texts, golds):
+            brief = all(len(texts[at]) <= _BRIEF + len(golds[at]) for at in hits)
+            examples = [f"{gold!r:.80} in {text!r:.80}" for gold, text in zip(golds, texts, strict=True)]
+            yield _leak(known, hits, f"{source} holds the gold answer", examples, brief)
 
 
-_CODES: dict[str, Callable[[str], str]] = {
-    "base64": lambda text: base64.b64encode(text.encode()).decode().rstrip("="),
-    "hexadecimal": lambda text: text.encode().hex(),
-    "backward": lambda text: text[::-1] if len(text) > 3 and text != text[::-1] else "",
-    "rot13": lambda text: codecs.encode(text, "rot13") if sum(map(str.isalpha, text)) > 3 else "",
-}
-
-
-def _printable(decode: Callable[[str], bytes]) -> Callable[[str], str]:
-    def decoded(text: str) -> str:
-        try:
-            value = decode(text).decode()
-        except (ValueError, binascii.Error):
-            return ""
-        return value.strip() if value.isprintable() else ""
-
-    return decoded
-
-
-_DECODERS: dict[str, Callable[[str], str]] = {
-    "base64": _printable(lambda text: base64.b64decode(text + "=" * (-len(text) % 4), validate=True)),
-    "hexadecimal": _printable(bytes.fromhex),
-    "backward": lambda text: text[::-1],
-    "rot13": lambda text: codecs.encode(text, "rot13"),
-}
-
-
-def _encoded(known: Sequence[Look], golds: Sequence[str]) -> Iterator[Problem]:
-    infos = ["\n".join(look.leaves().values()) for look in known]
-    for name, encode in _CODES.items():
-        codes = [encode((look.gold or "").strip()) for look in known]
-        for place, texts in (("an info", infos), ("the observation", [look.text for look in known])):
-            hits = [at for at, code in enumerate(codes) if len(code) >= 4 and code in texts[at]]
-            if _beyond_chance(hits, texts, codes, lambda text, code: len(code) >= 4 and code in text):
-                examples = tuple(f"{known[at].name}: {codes[at]!r:.80}" for at in hits[:3])
-                message = f"{place} holds the gold answer in {name} form"
+def _encoded(known: Sequence[RowView], golds: Sequence[str]) -> Iterator[Problem]:
+    infos = ["\n".join(view.leaves().values()) for view in known]
+    for name, encode in _ENCODERS.items():
+        codes = [code if len(code) >= 4 else "" for code in (encode((view.gold or "").strip()) for view in known)]
+        for place, texts in (("an info", infos), ("the observation", [view.text for view in known])):
+            hits = [at for at, code in enumerate(codes) if code and code in texts[at]]
+            if _beyond_chance(hits, texts, codes, lambda text, code: bool(code) and code in text):
                 # To read a text backward, or in a code, may be the very task; what stands beside a question is not.
                 asked = [known[at] for at in hits if known[at].asks_to_decode]
-                beside = [look for look in asked if look.question and encode(look.gold or "") not in look.question]
+                beside = [view for view in asked if view.question and encode(view.gold or "") not in view.question]
                 fails = place == "an info" or len(asked) < len(hits) or beside == asked
-                yield Problem("leak", len(hits) / len(known), message, examples, fails)
+                examples = [f"{code!r:.80}" for code in codes]
+                yield _leak(known, hits, f"{place} holds the gold answer in {name} form", examples, fails)
 
 
 def _beyond_chance(
-    hits: Sequence[int], places: Sequence[str], golds: Sequence[str], found: Callable[[str, str], bool]
+    hits: Sequence[int], texts: Sequence[str], golds: Sequence[str], found: Callable[[str, str], bool] = holds
 ) -> bool:
-    """Tell whether rows hold their own gold answer more often than those of other rows."""
+    """Tell whether texts hold the gold answer of their own row more often than those of other rows."""
     if len(hits) < 2 and len(hits) < len(golds):
         return False
     pairs = [
-        found(place, other)
-        for at, place in enumerate(places)
-        for other in (golds[at + 1 :] + golds[:at] if isinstance(golds, list) else golds)[:_OTHERS]
+        found(text, other)
+        for at, text in enumerate(texts)
+        for other in [*golds[at + 1 :], *golds[:at]][:_OTHERS]
         if other != golds[at]
     ]
     least = min(0.02, 1 / (len(pairs) + 1))
     return tail(len(hits), len(golds), max(least, sum(pairs) / max(1, len(pairs)))) < _UNLIKELY
-
-
-def _places(text: str, gold: str) -> list[int]:
-    found = [at.start() for at in re.finditer(re.escape(gold), text)][:5]
-    return [at for at in found if holds(text[max(0, at - 1) : at + len(gold) + 1], gold)]
-
-
-def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
-    if isinstance(value, Mapping):
-        for key, one in value.items():
-            yield from _leaves(one, f"{path}.{key}" if path else str(key))
-    elif isinstance(value, list | tuple):
-        for at, one in enumerate(value[:10]):
-            yield from _leaves(one, f"{path}.{at}")
-    elif isinstance(value, str | int | float) and not isinstance(value, bool):
-        yield path, str(value)[:_LONGEST]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
+
+from scipy.stats import binom, binomtest  # type: ignore[import-untyped]
 
 Kind = Literal["gold", "chance", "exploit"]
 KINDS: dict[str, Kind] = {
@@ -21,8 +22,8 @@ KINDS: dict[str, Kind] = {
 }
 """The policies, and what is right for each: gold always succeeds, exploits never do beyond chance."""
 
-_Z = 2.576
-"""Of a two-sided interval of 99 %."""
+CHANCE_MARGIN = 0.05
+"""By how much the lower bound of a rate must exceed chance before it counts."""
 
 
 @dataclass
@@ -44,15 +45,8 @@ class Rate:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON."""
-        rate = self.solved / self.episodes if self.episodes else None
-        mean = self.returns / self.episodes if self.episodes else None
-        return {
-            "kind": self.kind,
-            "solved": self.solved,
-            "episodes": self.episodes,
-            "rate": rate,
-            "mean_return": mean,
-        }
+        rate, mean = ((total / self.episodes if self.episodes else None) for total in (self.solved, self.returns))
+        return {"kind": self.kind, "solved": self.solved, "episodes": self.episodes, "rate": rate, "mean_return": mean}
 
 
 @dataclass(frozen=True)
@@ -84,7 +78,6 @@ class EnvAudit:
         chance: How often the most frequent gold answer is right; None where answers are not known.
         rates: By policy; one that cannot be played here is missing.
         problems: What is wrong, and notes.
-        unreadable: Share of a model's responses that held no answer; None where no model was asked.
         failure: Why it was not audited; empty where it was.
     """
 
@@ -93,7 +86,6 @@ class EnvAudit:
     chance: float | None = None
     rates: dict[str, Rate] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
-    unreadable: float | None = None
     failure: str = ""
 
     def fails(self, threshold: float = 0.0) -> bool:
@@ -102,15 +94,10 @@ class EnvAudit:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON."""
-        return {
-            "id": self.id,
-            "rows": self.rows,
-            "chance": self.chance,
-            "policies": {name: rate.to_dict() for name, rate in self.rates.items()},
-            "problems": [dataclasses.asdict(problem) for problem in self.problems],
-            "unreadable": self.unreadable,
-            "failure": self.failure,
-        }
+        policies = {name: rate.to_dict() for name, rate in self.rates.items()}
+        problems = [dataclasses.asdict(problem) for problem in self.problems]
+        told = {"id": self.id, "rows": self.rows, "chance": self.chance}
+        return {**told, "policies": policies, "problems": problems, "failure": self.failure}
 
 
 def lower_bound(solved: int, count: int) -> float:
@@ -118,14 +105,9 @@ def lower_bound(solved: int, count: int) -> float:
 
     Source: E. B. Wilson, JASA 22 (1927), 209-212.
     """
-    if not count:
-        return 0.0
-    rate, square = solved / count, _Z * _Z
-    middle = rate + square / (2 * count)
-    spread = _Z * math.sqrt(rate * (1 - rate) / count + square / (4 * count * count))
-    return max(0.0, (middle - spread) / (1 + square / count))
+    return float(binomtest(solved, count).proportion_ci(0.99, method="wilson").low) if count else 0.0
 
 
 def tail(hits: int, count: int, chance: float) -> float:
     """Return the probability of at least ``hits`` successes in ``count`` trials of a chance."""
-    return sum(math.comb(count, k) * chance**k * (1 - chance) ** (count - k) for k in range(hits, count + 1))
+    return float(binom.sf(hits - 1, count, chance))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -48,20 +48,16 @@ def rows_of(env_id: str, env: Any) -> list[Asked] | None:
     found = []
     for index in range(min(task.num_tasks, MOST_ROWS)):
         row = task.rows[index]
-        question = str(row.get(task.question_key, ""))
         prompt = task.prompt(row)
         prompt = prompt if isinstance(prompt, str) else json.dumps(to_plain(prompt))  # images by their hash
-        name = f"{env_id}/{index}"
-        given = row.get(task.answer_key)
-        if _is_missing(given):
-            found.append(Asked(name, prompt, question, None))
-            continue
-        malformed = ""
-        try:
-            task.gold_response(row)
-        except Exception as error:  # noqa: BLE001 - third-party code may raise anything
-            malformed = f"{type(error).__name__}: {error}"[:200]
-        found.append(Asked(name, prompt, question, normal(str(given)), malformed))
+        given, malformed = row.get(task.answer_key), ""
+        if not _is_missing(given):
+            try:
+                task.gold_response(row)
+            except Exception as error:  # noqa: BLE001 - third-party code may raise anything
+                malformed = f"{type(error).__name__}: {error}"[:200]
+        gold = None if _is_missing(given) else normal(str(given))
+        found.append(Asked(f"{env_id}/{index}", prompt, str(row.get(task.question_key, "")), gold, malformed))
     return found
 
 
@@ -79,32 +75,33 @@ def check_rows(asked: Sequence[Asked], *, fixed: bool) -> Iterator[Problem]:
         asked: The rows.
         fixed: Whether they are those of a data set; else they were generated, where the same may come twice.
     """
-    empty = [each for each in asked if each.gold is None]
-    if empty:
-        shown = tuple(f"{each.name}: {each.question!r:.100}" for each in empty[:3])
-        yield Problem(
-            "no gold", len(empty) / len(asked), f"{len(empty)} of {len(asked)} rows have no gold answer", shown
-        )
-    blank = [each.name for each in asked if not each.prompt.strip()]
-    if blank:
-        message = f"{len(blank)} of {len(asked)} rows ask nothing"
-        yield Problem("no question", len(blank) / len(asked), message, tuple(blank[:3]))
-    malformed = [each for each in asked if each.malformed]
-    if malformed:
-        shown = tuple(f"{each.name}: {each.malformed}" for each in malformed[:3])
-        message = f"{len(malformed)} of {len(asked)} gold answers cannot be read"
-        yield Problem("no gold", len(malformed) / len(asked), message, shown)
+    of = f"of {len(asked)}"
+
+    def problem(kind: str, found: Sequence[Asked], message: str, example: Callable[[Asked], str]) -> Problem:
+        return Problem(kind, len(found) / len(asked), message, tuple(map(example, found[:3])))
+
+    if empty := [each for each in asked if each.gold is None]:
+        message = f"{len(empty)} {of} rows have no gold answer"
+        yield problem("no gold", empty, message, lambda each: f"{each.name}: {each.question!r:.100}")
+    if blank := [each for each in asked if not each.prompt.strip()]:
+        yield problem("no question", blank, f"{len(blank)} {of} rows ask nothing", lambda each: each.name)
+    if malformed := [each for each in asked if each.malformed]:
+        message = f"{len(malformed)} {of} gold answers cannot be read"
+        yield problem("no gold", malformed, message, lambda each: f"{each.name}: {each.malformed}")
     groups: dict[str, list[Asked]] = defaultdict(list)
     for each in asked:
         if each.prompt.strip():
             groups[normal(each.prompt).rstrip(" .?!")].append(each)
     twice = [group for group in groups.values() if len(group) > 1]
     differing = [group for group in twice if len({each.gold for each in group}) > 1]
-    same = [group for group in twice if group not in differing]
-    if differing:
-        yield _repeated("conflict", "come again with another gold answer", differing, asked, fails=fixed)
-    if same:
-        yield _repeated("duplicates", "come more than once", same, asked, fails=fixed)
+    for kind, what, same in (
+        ("conflict", "come again with another gold answer", differing),
+        ("duplicates", "come more than once", [group for group in twice if group not in differing]),
+    ):
+        if same:
+            share = sum(len(group) - 1 for group in same) / len(asked)
+            shown = tuple(map(_repeated, same[:3]))
+            yield Problem(kind, share, f"{len(same)} questions {what}", shown, fixed)
     golds = Counter(each.gold for each in asked if each.gold)
     gold, count = golds.most_common(1)[0] if golds else (None, 0)
     if count > 0.8 * len(asked) and len(asked) >= 10:
@@ -112,18 +109,12 @@ def check_rows(asked: Sequence[Asked], *, fixed: bool) -> Iterator[Problem]:
         yield Problem("one answer", share, f"{gold!r:.60} is right for {share:.0%} of the rows", fails=False)
 
 
-def _repeated(kind: str, what: str, groups: list[list[Asked]], asked: Sequence[Asked], *, fails: bool) -> Problem:
-    extra = sum(len(group) - 1 for group in groups)
-    shown = tuple(
-        f"{group[0].name} and {group[1].name}: {group[0].question!r:.80}"
-        + (f" with {group[0].gold!r:.30} and {_other(group)!r:.30}" if kind == "conflict" else "")
-        for group in groups[:3]
-    )
-    return Problem(kind, extra / len(asked), f"{len(groups)} questions {what}", shown, fails)
-
-
-def _other(group: list[Asked]) -> str | None:
-    return next(each.gold for each in group if each.gold != group[0].gold)
+def _repeated(group: Sequence[Asked]) -> str:
+    """Return two rows that ask the same, with their gold answers if these differ."""
+    first = group[0]
+    other = next((each for each in group if each.gold != first.gold), group[1])
+    golds = f" with {first.gold!r:.30} and {other.gold!r:.30}" if other.gold != first.gold else ""
+    return f"{first.name} and {other.name}: {first.question!r:.80}{golds}"
 
 
 def check_contamination(asked: Sequence[Asked], against: str, others: Sequence[str]) -> Iterator[Problem]:

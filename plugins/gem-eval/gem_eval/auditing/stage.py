@@ -17,6 +17,8 @@ from gem_core.terminal import observation_text
 
 MOST_TURNS = 200
 """Turns after which an episode is left; no task of ours has more."""
+_SHOWN = 160
+"""Characters of a response that an example shows."""
 
 Respond = Callable[[str, Mapping[str, Any], int], str | None]
 """Called with the observation as text, its info and the number of turns taken; None breaks the episode off."""
@@ -74,6 +76,13 @@ class Played:
         """The last response."""
         return self.turns[-1].response if self.turns else ""
 
+    @property
+    def shown(self) -> str:
+        """The first response, cut, and what the episode was paid."""
+        response = " ".join((self.turns[0].response if self.turns else "").split())
+        cut = response if len(response) <= _SHOWN else f"{response[: _SHOWN // 2]} … {response[-_SHOWN // 2 :]}"
+        return f"{cut!r} got {self.total:g}"
+
     def solved(self, target: float | None) -> bool:
         """Tell whether the episode counts as success: the environment says so, or pays as much as for gold.
 
@@ -117,18 +126,13 @@ class Stage:
         self.deterministic = gem_core.spec(env_id).deterministic
         self.env: Any = gem_core.make(env_id, **kwargs)
         self.env_again: Any = None
-        count = self.env.get_wrapper_attr("num_tasks")
-        indices: list[int] | range = range(limit)
-        if count is not None:
-            chosen = np.random.default_rng(seed).permutation(count)[:limit] if count > limit else range(count)
-            indices = sorted(map(int, chosen))
-        self.rows = [
-            Row(f"{env_id}/{index if count is not None else seed + index}", seed + index, {"index": index})
-            if count is not None
-            else Row(f"{env_id}/{seed + index}", seed + index, {})
-            for index in indices
-        ]
-        self.count: int | None = count
+        self.count: int | None = self.env.get_wrapper_attr("num_tasks")
+        if self.count is None:
+            self.rows = [Row(f"{env_id}/{each}", each, {}) for each in range(seed, seed + limit)]
+        else:
+            every = np.random.default_rng(seed).permutation(self.count) if self.count > limit else np.arange(self.count)
+            chosen = sorted(every[:limit].tolist())
+            self.rows = [Row(f"{env_id}/{index}", seed + index, {"index": index}) for index in chosen]
 
     def play(self, row: Row, respond: Respond, *, most_turns: int = MOST_TURNS, again: bool = False) -> Played:
         """Play an episode.
@@ -143,29 +147,23 @@ class Stage:
             self.env_again = gem_core.make(self.env_id, **self.kwargs)
         env = self.env_again if again else self.env
         played = Played(row)
+        options = {"options": dict(row.options)} if row.options else {}
         with redirect_stdout(io.StringIO()):  # a grader may run what prints
-            self._play(env, played, respond, most_turns)
+            try:
+                observation, played.info = env.reset(seed=row.seed, **options)
+                played.observation = shown = observation_text(observation)
+                while len(played.turns) < most_turns:
+                    response = respond(shown, played.last_info, len(played.turns))
+                    if response is None:
+                        break
+                    observation, reward, terminated, truncated, info = env.step(response)
+                    shown, over = observation_text(observation), bool(terminated or truncated)
+                    played.turns.append(Turn(response, shown, float(reward), info, over))
+                    if over:
+                        break
+            except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code may raise anything
+                played.crash = f"{type(error).__name__}: {error}"[:300]
         return played
-
-    def _play(self, env: Any, played: Played, respond: Respond, most_turns: int) -> None:
-        row = played.row
-        try:
-            options = {"options": dict(row.options)} if row.options else {}
-            observation, info = env.reset(seed=row.seed, **options)
-            played.observation, played.info = observation_text(observation), info
-            while len(played.turns) < most_turns:
-                last = played.turns[-1] if played.turns else None
-                shown = played.observation if last is None else last.observation
-                response = respond(shown, played.last_info, len(played.turns))
-                if response is None:
-                    break
-                observation, reward, terminated, truncated, info = env.step(response)
-                over = bool(terminated or truncated)
-                played.turns.append(Turn(response, observation_text(observation), float(reward), info, over))
-                if over:
-                    break
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code may raise anything
-            played.crash = f"{type(error).__name__}: {error}"[:300]
 
     def gold(self) -> str | None:
         """Return a response that solves the present state; None where none is known."""
@@ -190,6 +188,11 @@ class Stage:
         for env in (self.env, self.env_again):
             if env is not None:
                 env.close()
+
+
+def says(response: str) -> Respond:
+    """Return a policy that always gives one response."""
+    return lambda _observation, _info, _turn: response
 
 
 def _text(value: Mapping[str, Any]) -> str:

@@ -29,8 +29,7 @@ def table_lines(found: Sequence[EnvAudit], threshold: float, width: int | None) 
     """
     ranks = {"rows": 0, "chance": 1, "other": 2, "echo": 3}
     headers = ["environment", "rows", *KINDS, "chance", "problems"]
-    headers += ["unreadable"] if any(each.unreadable is not None for each in found) else []
-    cells = {id(each): dict(zip(headers, _cells(each, threshold), strict=False)) for each in found}
+    cells = {id(each): dict(zip(headers, _cells(each, threshold), strict=True)) for each in found}
     columns = [
         Column(
             name,
@@ -56,8 +55,7 @@ def _cells(found: EnvAudit, threshold: float) -> list[str]:
     chance = "-" if found.chance is None else f"{found.chance:.0%}"
     count = sum(each.fails and each.share > threshold for each in found.problems)
     problems = "not audited" if found.failure else str(count) if count else "none"
-    unreadable = "-" if found.unreadable is None else f"{found.unreadable:.1%}"
-    return [found.id, str(found.rows), *shown, chance, problems, unreadable]
+    return [found.id, str(found.rows), *shown, chance, problems]
 
 
 def _details(found: EnvAudit, threshold: float) -> Iterator[str]:

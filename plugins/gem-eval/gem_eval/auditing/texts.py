@@ -4,34 +4,32 @@ from __future__ import annotations
 
 import re
 import unicodedata
-
-_SPACES = re.compile(r"\s+")
-_NOT_WORD = re.compile(r"[^\w]+")
+from collections.abc import Iterator
+from functools import lru_cache
 
 
 def normal(text: str) -> str:
     """Return a text with small letters and single spaces."""
-    return _SPACES.sub(" ", unicodedata.normalize("NFKC", text).casefold()).strip()
+    return " ".join(unicodedata.normalize("NFKC", text).casefold().split())
 
 
 def words(text: str) -> list[str]:
     """Return the words of a text, without marks and case."""
-    return _NOT_WORD.sub(" ", normal(text)).split()
+    return re.findall(r"\w+", normal(text))
 
 
 def holds(text: str, part: str) -> bool:
     """Tell whether a normal text holds another one that is no piece of a longer word or number."""
-    if not part:
-        return False
-    start = text.find(part)
-    while start >= 0:
-        end = start + len(part)
-        before, behind = text[start - 1 : start], text[end : end + 1]
-        apart = not (
-            part[0].isalnum() and (before.isalnum() or (before in ".," and text[start - 2 : start - 1].isdigit()))
-        )
-        ends = not (part[-1].isalnum() and (behind.isalnum() or (behind == "." and text[end + 1 : end + 2].isdigit())))
-        if apart and ends:
-            return True
-        start = text.find(part, start + 1)
-    return False
+    return next(places(text, part), None) is not None
+
+
+def places(text: str, part: str) -> Iterator[int]:
+    """Yield where a normal text holds another one that is no piece of a longer word or number."""
+    return (found.start() for found in _whole(part).finditer(text)) if part else iter(())
+
+
+@lru_cache(maxsize=4096)
+def _whole(part: str) -> re.Pattern[str]:
+    before = r"(?<![^\W_])(?<!\d[.,])" if part[0].isalnum() else ""
+    behind = r"(?![^\W_])(?!\.\d)" if part[-1].isalnum() else ""
+    return re.compile(f"{before}{re.escape(part)}{behind}")
