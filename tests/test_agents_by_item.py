@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import gem_core as gem
 from gem_core import Episode, PlanItem, Response
@@ -37,14 +34,14 @@ def test_an_item_names_the_agent_that_acts() -> None:
 
 def test_an_item_that_names_no_agent_is_refused() -> None:
     """The message names those that there are."""
-    with pytest.raises(ArgumentError, match=r"an item of the plan has agent=None, and the agents given are 'one'"):
+    with pytest.raises(ArgumentError, match=r"agent=None.*'one'"):
         list(gem.rollout(ID, {"one": low}, plan=[PlanItem(ID)]))
 
 
 def test_a_resumed_run_refuses_an_episode_of_another_agent() -> None:
     """Swapped models would mix two scores."""
     done = list(gem.rollout(ID, {"one": low}, plan=[PlanItem(ID, agent="one")], seed=1))
-    with pytest.raises(ArgumentError, match=r"is of 'one', and the plan names 'two'"):
+    with pytest.raises(ArgumentError, match=r"'one'.*'two'"):
         list(gem.rollout(ID, {"two": low}, plan=[PlanItem(ID, agent="two")], resume=done))
 
 
@@ -89,33 +86,16 @@ def test_an_error_says_its_cause() -> None:
     assert episode.error == {"kind": "agent", "cause": "rate_limit", "message": "too many requests"}
 
 
-def episode_of(observations: list[Any]) -> Episode:
-    first, *rest = observations
-    turns = [Transition(each, Response("a"), 0.0, False, False, {}) for each in [first, *rest[:-1]]]
-    return Episode("toy:A-v0", 1, first, {}, turns, observations[-1])
-
-
-MESSAGES = st.lists(st.fixed_dictionaries({"role": st.just("user"), "content": st.text(max_size=3)}), max_size=6)
-TEXTS = st.builds(lambda count, tail: "All that was said. " * count + tail, st.integers(0, 40), st.text(max_size=3))
-
-
-@given(st.lists(TEXTS, min_size=2, max_size=6) | st.lists(MESSAGES, min_size=2, max_size=6))
-def test_a_folded_record_is_read_back_the_same(observations: list[Any]) -> None:
-    """Whatever observations have in common with those before."""
-    episode = episode_of(observations)
-    assert Episode.from_dict(json.loads(json.dumps(episode.to_dict(fold=True)))) == episode
-
-
-def test_a_folded_record_grows_with_what_is_new() -> None:
-    """A history of a hundred turns is not written a hundred times."""
-    history = [f"Turn {number}: nothing new, and nothing to be said about it." for number in range(100)]
-    episode = episode_of(["\n".join(history[: count + 1]) for count in range(100)])
-    assert len(json.dumps(episode.to_dict())) > 10 * len(json.dumps(episode.to_dict(fold=True)))
-
-
-def test_a_folded_record_that_refers_to_nothing_is_damaged() -> None:
-    """It is an error of the file, never another observation."""
-    record = episode_of(["x" * 500, "x" * 500 + "y"]).to_dict(fold=True)
-    record["final_observation"]["__same__"] = 501
-    with pytest.raises(EpisodeFileError, match="repeats 501"):
+def test_observations_that_earlier_versions_wrote_folded_are_read() -> None:
+    """Each said how much it has in common with the one before; what refers to nothing is damaged."""
+    shown = ["x" * 500, "x" * 500 + "y", [{"role": "user"}], [{"role": "user"}, {"role": "assistant"}]]
+    turns = [Transition(each, Response("a"), 0.0, False, False, {}) for each in shown[:3]]
+    episode = Episode("toy:A-v0", 1, shown[0], {}, turns, shown[3])
+    record = episode.to_dict()
+    record["transitions"][0]["observation"] = {"__same__": 500, "rest": ""}
+    record["transitions"][1]["observation"] = {"__same__": 500, "rest": "y"}
+    record["final_observation"] = {"__same__": 1, "rest": [{"role": "assistant"}]}
+    assert Episode.from_dict(record) == episode
+    record["final_observation"]["__same__"] = 2
+    with pytest.raises(EpisodeFileError, match="repeats 2"):
         Episode.from_dict(record)

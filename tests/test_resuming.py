@@ -95,27 +95,19 @@ def test_the_line_that_was_cut_off_is_run_again_with_a_warning(tmp_path: Path) -
 
 
 def test_episodes_that_are_there_go_on_without_a_file() -> None:
-    """From a list, or anything that yields them; the seed is theirs."""
+    """From a list, or anything that yields them; the seed is theirs. With all of them, not even a reset is run."""
     run = gem.rollout(gem.make_vec(COUNTDOWN, 2, seed=7), sampling_agent, episodes=6)
     first = [next(run), next(run)]
     rest = list(gem.rollout(COUNTDOWN, sampling_agent, episodes=6, resume=iter(first)))
-    assert by_key([*first, *rest]) == by_key(gem.rollout(COUNTDOWN, sampling_agent, episodes=6, seed=7))
+    whole = by_key(gem.rollout(COUNTDOWN, sampling_agent, episodes=6, seed=7))
+    assert by_key([*first, *rest]) == whole
     assert {episode.run_seed for episode in rest} == {7}
 
+    async def by_arollout() -> list[gem.Episode]:
+        return [episode async for episode in gem.arollout(COUNTDOWN, sampling_agent, episodes=6, resume=first)]
 
-def test_arollout_goes_on_as_well(tmp_path: Path) -> None:
-    """From the same file."""
-    path = tmp_path / "run.jsonl"
-    written(path, gem.rollout(COUNTDOWN, stopping(5), episodes=6, seed=7))
-
-    async def rest() -> list[gem.Episode]:
-        return [episode async for episode in gem.arollout(COUNTDOWN, sampling_agent, episodes=6, resume=path)]
-
-    episodes = asyncio.run(rest())
-    assert 0 < len(episodes) < 6
-    assert by_key([*read_episodes(path), *episodes]) == by_key(
-        gem.rollout(COUNTDOWN, sampling_agent, episodes=6, seed=7)
-    )
+    assert by_key([*first, *asyncio.run(by_arollout())]) == whole
+    assert list(gem.rollout(COUNTDOWN, stopping(0), episodes=6, resume=whole)) == []
 
 
 def test_episodes_with_an_error_are_run_again() -> None:
@@ -154,12 +146,6 @@ def test_a_file_that_is_not_there_yet_is_an_empty_beginning(tmp_path: Path) -> N
         list(gem.rollout(COUNTDOWN, sampling_agent, episodes=3, resume=tmp_path))
 
 
-def test_nothing_is_run_where_everything_is_there() -> None:
-    """Not even a reset."""
-    whole = list(gem.rollout(COUNTDOWN, sampling_agent, episodes=4, seed=0))
-    assert list(gem.rollout(COUNTDOWN, stopping(0), episodes=4, resume=whole)) == []
-
-
 def test_more_episodes_of_the_same_run_can_be_asked_for() -> None:
     """The plan begins as the first one did."""
     first = list(gem.rollout(COUNTDOWN, sampling_agent, episodes=4, seed=0))
@@ -169,49 +155,27 @@ def test_more_episodes_of_the_same_run_can_be_asked_for() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "told"),
     [
-        (
-            {"episodes": 3, "seed": 6},
-            "the episodes to resume belong to the run with seed 5, and the seed given is 6; leave the seed out, or "
-            "name another file",
-        ),
-        (
-            {"episodes": 1},
-            "the episode with the key '2' has no place in this plan: it is of another run; resume with the plan and "
-            "the seed of the first time",
-        ),
-        (
-            {"plan": [PlanItem(id=COUNTDOWN)] * 3 + [PlanItem(id=SUMS)]},
-            "the episode with the key '1' is of 'toy:Sums-v0', and the plan asks for 'toy:Countdown-v0': it is of "
-            "another run; resume with the plan and the seed of the first time",
-        ),
+        ({"episodes": 3, "seed": 6}, "seed 5.*6"),
+        ({"episodes": 1}, "'2' has no place"),
+        ({"plan": [PlanItem(id=COUNTDOWN)] * 3 + [PlanItem(id=SUMS)]}, f"'1' has id='{SUMS}'.*'{COUNTDOWN}'"),
         (
             {"plan": [PlanItem(id=COUNTDOWN), PlanItem(id=SUMS, options={"index": 2})] * 2},
-            "the episode with the key '1' was started with options {'index': 0}, and the plan gives it {'index': 2}: "
-            "it is of another run; resume with the plan and the seed of the first time",
+            "'1' has options={'index': 0}.*{'index': 2}",
         ),
         (
             {"plan": [PlanItem(), PlanItem(options={"index": 0}), PlanItem(seed=9), PlanItem(options={"index": 1})]},
-            "the episode with the key '2' was started from seed SEED, and the plan gives it 9: it is of another run; "
-            "resume with the plan and the seed of the first time",
+            "'2' has seed=.*seed=9",
         ),
+        ({"plan": (PlanItem(seed=place) for place in range(4))}, "'0' has seed=.*seed=0"),
     ],
 )
-def test_another_run_is_refused_before_anything_is_run(options: dict[str, Any], message: str) -> None:
+def test_another_run_is_refused_before_anything_is_run(options: dict[str, Any], told: str) -> None:
     """Another seed, fewer episodes, other environments, other rows, other seeds of episodes."""
     first = by_key(gem.rollout([COUNTDOWN, SUMS], sampling_agent, episodes=2, seed=5))
-    with pytest.raises(ArgumentError) as caught:
+    with pytest.raises(ArgumentError, match=told):
         next(gem.rollout([COUNTDOWN, SUMS], stopping(0), resume=first[:3], **options))
-    assert str(caught.value) == message.replace("SEED", str(first[2].seed))
-
-
-def test_another_run_is_refused_where_the_plan_is_no_sequence() -> None:
-    """When its place is passed over."""
-    first = list(gem.rollout(COUNTDOWN, sampling_agent, episodes=2, seed=5))
-    plan = (PlanItem(seed=place) for place in range(4))
-    with pytest.raises(ArgumentError, match="the episode with the key '0' was started from seed"):
-        list(gem.rollout(COUNTDOWN, sampling_agent, plan=plan, resume=first))
 
 
 def test_iterators_are_resumed_too() -> None:
@@ -225,7 +189,7 @@ def test_episodes_of_several_runs_are_refused() -> None:
     """Nobody could say which is meant."""
     mixed = [*gem.rollout(COUNTDOWN, sampling_agent, episodes=1, seed=1)]
     mixed += gem.rollout(COUNTDOWN, sampling_agent, episodes=1, seed=2)
-    with pytest.raises(ArgumentError, match=r"the episodes to resume belong to 2 runs, with the seeds 1, 2$"):
+    with pytest.raises(ArgumentError, match=r"2 runs.* 1, 2$"):
         list(gem.rollout(COUNTDOWN, sampling_agent, episodes=3, resume=mixed))
 
 
@@ -233,13 +197,13 @@ def test_episodes_without_a_place_in_a_plan_are_refused() -> None:
     """As those of a vector environment that goes on by itself."""
     (episode,) = gem.rollout(COUNTDOWN, sampling_agent, episodes=1, seed=1)
     episode.key = "0.3"
-    with pytest.raises(ArgumentError, match=r"the episode with the key '0\.3' has no place in this plan"):
+    with pytest.raises(ArgumentError, match=r"'0\.3' has no place"):
         list(gem.rollout(COUNTDOWN, sampling_agent, episodes=3, resume=[episode]))
 
 
 def test_what_is_no_episode_is_refused() -> None:
     """The error says what it is."""
-    with pytest.raises(ArgumentError, match="resume takes a file of episodes or the episodes themselves, not 3"):
+    with pytest.raises(ArgumentError, match="not 3"):
         list(gem.rollout(COUNTDOWN, sampling_agent, episodes=3, resume=[3]))  # type: ignore[list-item]
 
 
@@ -254,7 +218,7 @@ def test_files_of_the_earlier_form_go_on_with_the_seed_given(tmp_path: Path) -> 
         file.write(json.dumps(records[1]) + "\n")
     assert [episode.run_seed for episode in read_episodes(path)] == [None, None]
     assert keys(gem.rollout(COUNTDOWN, sampling_agent, episodes=4, seed=5, resume=path)) == ["2", "3"]
-    with pytest.raises(ArgumentError, match="was started from seed"):
+    with pytest.raises(ArgumentError, match="has seed="):
         list(gem.rollout(COUNTDOWN, sampling_agent, episodes=4, seed=6, resume=path))
 
 

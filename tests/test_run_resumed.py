@@ -106,7 +106,7 @@ def test_another_run_is_refused_and_the_file_left_as_it_is(run_gem: RunGem) -> N
     for arguments in ([SUMS, COUNTDOWN, "-n", "4"], [COUNTDOWN, SUMS, "-n", "2"]):
         refused = run_gem("run", *arguments, "-a", "failing:act", "--resume", "a.jsonl")
         assert (refused.code, refused.out, refused.err.count("\n")) == (2, "", 1)
-        assert "it is of another run; resume with the plan and the seed of the first time" in refused.err
+        assert "it is of another run" in refused.err
     assert Path("a.jsonl").read_bytes() == content
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records.conversation import Conversation
-from gem_core.records.folding import folded, unfolded
 from gem_core.records.plain_json import ImageFolder, from_plain, to_plain
 from gem_core.records.redaction import without_secrets
 from gem_core.types import Info, Observation, Response
@@ -175,17 +174,13 @@ class Episode:
         error = self.final_info.get("error")
         return error if error is None or isinstance(error, dict) else {"kind": "unknown", "message": str(error)}
 
-    def to_dict(self, images: ImageFolder | None = None, *, fold: bool = False) -> dict[str, Any]:
+    def to_dict(self, images: ImageFolder | None = None) -> dict[str, Any]:
         """Return the episode as plain JSON.
 
         Args:
             images: The folder for images; None leaves their content out.
-            fold: Write of each observation only what goes beyond the one before, where they have much in common.
         """
         fields = {name: value for name, value in vars(self).items() if name != "transitions"}
-        observations = [self.observation, *(turn.observation for turn in self.transitions), self.final_observation]
-        first, *observed, last = folded(observations) if fold else observations
-        fields["observation"], fields["final_observation"] = first, last
         # Long collections go before they are converted: a data set would take seconds for every episode.
         fields["kwargs"] = {name: value for name, value in self.kwargs.items() if not _has_many_parts(value)}
         record = {name: to_plain(value, images) for name, value in fields.items()}
@@ -194,14 +189,14 @@ class Episode:
         record["kwargs"], record["wrappers"] = without_secrets(kept), without_secrets(record["wrappers"])
         record["transitions"] = [
             {
-                "observation": to_plain(observation, images),
+                "observation": to_plain(turn.observation, images),
                 "action": {"text": to_plain(turn.action.text), **to_plain(turn.action.reported(), images)},
                 "reward": turn.reward,
                 "terminated": turn.terminated,
                 "truncated": turn.truncated,
                 "info": to_plain(turn.info, images),
             }
-            for turn, observation in zip(self.transitions, observed, strict=True)
+            for turn in self.transitions
         ]
         return record
 
@@ -222,7 +217,7 @@ class Episode:
             fields = {name: from_plain(record[name], images) for name in _FIELDS if name in record}
             episode = cls(**fields, transitions=turns)
             episode.return_range = return_range_of(episode.return_range)
-            unfold(episode)
+            _unfold(episode)
         except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
             raise EpisodeFileError(f"the record of an episode is damaged ({type(error).__name__}: {error})") from error
         episode._check()
@@ -258,12 +253,25 @@ def _transition(record: Mapping[str, Any], images: ImageFolder | None) -> Transi
     )
 
 
-def unfold(episode: Episode) -> None:
-    """Restore the observations of a record that was written with ``fold``."""
+def _unfold(episode: Episode) -> None:
+    """Restore observations that earlier versions wrote without the beginning that the one before has as well.
+
+    Raises:
+        ValueError: One repeats more than the one before has, or is of another kind.
+    """
+
+    def restored(observation: Any, before: Any) -> Any:
+        if not isinstance(observation, dict):
+            return observation
+        same, rest = observation["__same__"], observation["rest"]
+        if type(rest) is not type(before) or type(same) is not int or not 0 <= same <= len(before):
+            raise ValueError(f"an observation repeats {same!r} of one that does not have it")
+        return before[:same] + rest
+
     before = episode.observation
     for turn in episode.transitions:
-        before = turn.observation = unfolded(turn.observation, before)
-    episode.final_observation = unfolded(episode.final_observation, before)
+        before = turn.observation = restored(turn.observation, before)
+    episode.final_observation = restored(episode.final_observation, before)
 
 
 def return_range_of(declared: Any) -> tuple[float, float] | None:

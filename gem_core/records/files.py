@@ -146,8 +146,6 @@ def lock_file(descriptor: int, path: Path) -> None:
     """
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         return
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        return
     try:
         import fcntl
     except ImportError:

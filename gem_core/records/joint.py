@@ -94,12 +94,11 @@ class JointEpisode:
                 if turn is not None:
                     yield seat, turn
 
-    def to_dict(self, images: ImageFolder | None = None, *, fold: bool = False) -> dict[str, Any]:
+    def to_dict(self, images: ImageFolder | None = None) -> dict[str, Any]:
         """Return the record as plain JSON; what all seats have in common is written once.
 
         Args:
             images: The folder for images; None leaves their content out.
-            fold: See ``Episode.to_dict``.
         """
         start = Episode(observation="", info={}, **{name: getattr(self, name) for name in _OF_START})
         shared = {name: value for name, value in start.to_dict(images).items() if name in _OF_START}
@@ -110,7 +109,7 @@ class JointEpisode:
             "failure": self.failure,
             "schema_version": self.schema_version,
             "seats": {
-                seat: {name: value for name, value in episode.to_dict(images, fold=fold).items() if name not in _SHARED}
+                seat: {name: value for name, value in episode.to_dict(images).items() if name not in _SHARED}
                 for seat, episode in self.seats.items()
             },
         }

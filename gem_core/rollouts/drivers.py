@@ -129,18 +129,7 @@ def arollout(env: Environments, agent: Any, **options: Unpack[RolloutOptions]) -
 @overload
 def arollout(env: Environments, *, agents: Any, **options: Unpack[RolloutOptions]) -> AsyncIterator[JointEpisode]: ...
 def arollout(
-    env: Environments,
-    agent: Any = None,
-    *,
-    agents: Any = None,
-    plan: Iterable[PlanItem] | None = None,
-    episodes: int | None = None,
-    seed: int | None = None,
-    num_envs: int | None = None,
-    backend: Backend = "auto",
-    max_requests: int | None = None,
-    resume: Resume = None,
-    progress: bool | OnProgress = False,
+    env: Environments, agent: Any = None, *, agents: Any = None, **options: Unpack[RolloutOptions]
 ) -> AsyncIterator[Any]:
     """Let agents act, and yield each episode as it finishes, for code that runs in an event loop.
 
@@ -150,22 +139,12 @@ def arollout(
     ``sync`` blocks the loop. While the caller looks at an episode, slots finish at most the episode that they are in.
 
     Args:
-        env: See ``rollout``, also for the other arguments.
+        env: See ``rollout``.
         agent: Plain or a coroutine function; a plain one blocks the loop while it answers.
         agents: Instead of ``agent``, if several agents act.
-        plan: Items that episodes start from.
-        episodes: Number of episodes for each environment.
-        seed: Seed of the run.
-        num_envs: Number of environments that run at once.
-        backend: Place that environments run in.
-        max_requests: Largest number of open questions.
-        resume: Finished episodes of this run.
-        progress: Show the run's progress.
+        **options: The other arguments of ``rollout``.
     """
-    players, loaded = _players(agent, agents)
-    return _episodes_async(
-        _Options(env, players, loaded, plan, episodes, seed, num_envs, backend, max_requests, resume, progress)
-    )
+    return _episodes_async(_Options(env, *_players(agent, agents), **options))
 
 
 def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
@@ -191,14 +170,14 @@ class _Options:
     players: Players
     loaded: list[Agent]
     """Agents that act alone and were given by name, which are closed at the end."""
-    plan: Iterable[PlanItem] | None
-    episodes: int | None
-    seed: int | None
-    num_envs: int | None
-    backend: Backend
-    max_requests: int | None
-    resume: Resume
-    progress: bool | OnProgress
+    plan: Iterable[PlanItem] | None = None
+    episodes: int | None = None
+    seed: int | None = None
+    num_envs: int | None = None
+    backend: Backend = "auto"
+    max_requests: int | None = None
+    resume: Resume = None
+    progress: bool | OnProgress = False
 
     def __post_init__(self) -> None:
         if self.plan is not None and self.episodes is not None:

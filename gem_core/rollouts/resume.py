@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from gem_core.errors import ArgumentError
 from gem_core.records.episode import Episode
@@ -14,29 +14,14 @@ from gem_core.records.plain_json import to_plain
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 
 
-class _StartRecord(NamedTuple):
-    """The start of a finished episode, as far as its record tells.
-
-    Args:
-        id: Id of its environment.
-        seed: Its seed.
-        options: The options of ``reset``, as plain JSON.
-        agent: Name of the agent, if the plan's item names one.
-    """
-
-    id: str
-    seed: int | None
-    options: Any
-    agent: str | None
-
-
 class FinishedEpisodes:
     """The finished episodes of a run: all that its file holds, except episodes that ended in an error."""
 
     def __init__(self) -> None:
         self.run_seeds: set[int] = set()
         """Seeds of the runs that the episodes belong to, those with an error included."""
-        self._starts: dict[tuple[str, int], _StartRecord] = {}
+        self._starts: dict[tuple[str, int], dict[str, Any]] = {}
+        """``id``, ``seed``, ``options`` and ``agent`` of each, by its key and its repeat."""
 
     def __len__(self) -> int:
         return len(self._starts)
@@ -62,7 +47,8 @@ class FinishedEpisodes:
             options: The options of ``reset``.
             agent: Name of the agent, if the item names one.
         """
-        self._starts[key, repeat] = _StartRecord(env_id, seed, to_plain(options) or None, agent)
+        started = {"id": env_id, "seed": seed, "options": to_plain(options) or None, "agent": agent}
+        self._starts[key, repeat] = started
 
     def run_seed(self, given: int | None) -> int | None:
         """Return the seed of the resumed run, or the one given if there is no episode.
@@ -103,15 +89,11 @@ class FinishedEpisodes:
         started = self._starts.get((start.key, start.repeat))
         if started is None:
             return False
-        env_id, options = start.item.id, to_plain(start.item.options) or None
-        if env_id is not None and started.id != env_id:
-            raise _other_run(start.key, f"is of {started.id!r}, and the plan asks for {env_id!r}")
-        if start.item.agent is not None and started.agent != start.item.agent:
-            raise _other_run(start.key, f"is of {started.agent!r}, and the plan names {start.item.agent!r}")
-        if started.options != options:
-            raise _other_run(start.key, f"was started with options {started.options}, and the plan gives it {options}")
-        if started.seed != start.seed:
-            raise _other_run(start.key, f"was started from seed {started.seed}, and the plan gives it {start.seed}")
+        item = start.item
+        planned = {"id": item.id, "seed": start.seed, "options": to_plain(item.options) or None, "agent": item.agent}
+        for name, value in planned.items():
+            if value != started[name] and (value is not None or name == "options"):
+                raise _other_run(start.key, f"has {name}={started[name]!r}, and the plan {name}={value!r}")
         return True
 
 

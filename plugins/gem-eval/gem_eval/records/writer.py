@@ -66,7 +66,7 @@ class RunWriter:
             EpisodeFileError: It cannot be written.
         """
         try:
-            record = episode.to_dict(self._images, fold=True)
+            record = episode.to_dict(self._images)
             frame = pack({**record, "evaluation": to_plain(dict(evaluation))})
             offset = self._episodes.seek(0, os.SEEK_END)
             row = Row.of_episode(episode, evaluation, self._count + 1, offset, len(frame))
