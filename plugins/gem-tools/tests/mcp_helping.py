@@ -80,14 +80,14 @@ def wait_until_gone(pids: Iterable[int]) -> None:
 
 
 def servers_of(pid: int | None = None) -> list[int]:
-    """Return the keepers that a process, by default this one, has as children."""
+    """Return the servers that a process, by default this one, has as children."""
     found = []
     for name in os.listdir("/proc"):
         if name.isdigit():
             try:
                 stat = Path("/proc", name, "stat").read_bytes().rpartition(b")")[2].split()
                 ours = int(stat[1]) == (pid or os.getpid()) and stat[0] != b"Z"
-                if ours and b"keeper.py" in Path("/proc", name, "cmdline").read_bytes():
+                if ours and b"mcp" in Path("/proc", name, "cmdline").read_bytes():
                     found.append(int(name))
             except OSError:
                 continue

@@ -28,63 +28,51 @@ def nothing_left() -> Iterator[None]:
     wait_until_no_server_runs()
 
 
+@pytest.fixture
+def env() -> Iterator[ToolEnv]:
+    """A task with the tools of a server that behaves."""
+    env = around(bad())
+    yield env
+    env.close()
+
+
 def test_tools_of_a_server_are_tools_of_the_environment():
     env = around(bad(include=["echo", "count"]))
-    try:
-        observation, info = env.reset(seed=0)
-        assert "- echo: Does echo. Call it with <echo>text</echo>; its arguments, as a JSON Schema: {" in observation
-        assert (
-            '- count: Does count. Call it with <tool_call>{"name": "count", "arguments": {…}}</tool_call>'
-            in observation
-        )
-        assert [tool["function"]["name"] for tool in info["tools"]] == ["echo", "count"]
-        assert info["tools"][0]["function"]["parameters"] == {
-            "type": "object",
-            "properties": {"text": {"type": "string"}},
-            "required": ["text"],
-            "additionalProperties": False,
-        }
-        observation, info = step(env, "echo", text="hällo")
-        assert observation == "hällo"
-        assert (info["server"], info["server_tool"], info["failed"]) == ("bad", "echo", False)
-        assert "hi" in env.step("<echo>hi</echo>")[0]
-        call = {"id": "c1", "type": "function", "function": {"name": "echo", "arguments": '{"text": "native"}'}}
-        messages = env.step(gem.Response("", tool_calls=[call]))[4]["messages"]
-        assert messages[0]["tool_call_id"] == "c1"
-        assert "native" in messages[0]["content"]
-    finally:
-        env.close()
+    observation, info = env.reset(seed=0)
+    assert "- echo: Does echo. Call it with <echo>text</echo>; its arguments, as a JSON Schema: {" in observation
+    assert [tool["function"]["name"] for tool in info["tools"]] == ["echo", "count"]
+    assert info["tools"][0]["function"]["parameters"] == {
+        "type": "object",
+        "properties": {"text": {"type": "string"}},
+        "required": ["text"],
+        "additionalProperties": False,
+    }
+    observation, info = step(env, "echo", text="hällo")
+    assert observation == "hällo"
+    assert (info["server"], info["server_tool"], info["failed"]) == ("bad", "echo", False)
+    assert "hi" in env.step("<echo>hi</echo>")[0]
+    call = {"id": "c1", "type": "function", "function": {"name": "echo", "arguments": '{"text": "native"}'}}
+    messages = env.step(gem.Response("", tool_calls=[call]))[4]["messages"]
+    assert messages[0]["tool_call_id"] == "c1"
+    assert "native" in messages[0]["content"]
+    env.close()
 
 
-def test_wrong_arguments_do_not_reach_the_server():
-    env = around(bad())
-    try:
-        assert step(env, "count")[0] == "1"
-        observation, info = step(env, "echo", txt=1)
-        assert observation == (
-            "The arguments are not valid. 'text' is a required property; Additional properties are not allowed "
-            "('txt' was unexpected)"
-        )
-        assert info["failed"]
-        assert step(env, "echo", text="\ud800")[0].endswith(
-            "They hold broken Unicode: half of a character that takes two."
-        )
-        assert step(env, "count")[0] == "2"
-    finally:
-        env.close()
+def test_wrong_arguments_do_not_reach_the_server(env):
+    assert step(env, "count")[0] == "1"
+    observation, info = step(env, "echo", txt=1)
+    assert "'text' is a required property" in observation
+    assert info["failed"]
+    assert step(env, "echo", text="\ud800")[1]["failed"]
+    assert step(env, "count")[0] == "2"
 
 
-def test_the_tools_of_a_server_share_a_session_in_an_episode():
-    env = around(bad())
-    try:
-        assert [step(env, "count")[0], step(env, "echo", text="x")[0], step(env, "count")[0]] == ["1", "x", "3"]
-        assert len(servers_of()) == 1
-        env.reset(seed=1)
-        wait_until_no_server_runs()
-        assert step(env, "count")[0] == "1"
-    finally:
-        env.close()
+def test_the_tools_of_a_server_share_a_session_in_an_episode(env):
+    assert [step(env, "count")[0], step(env, "echo", text="x")[0], step(env, "count")[0]] == ["1", "x", "3"]
+    assert len(servers_of()) == 1
+    env.reset(seed=1)
     wait_until_no_server_runs()
+    assert step(env, "count")[0] == "1"
 
 
 def test_a_shared_session_is_one_for_all_environments_until_the_last_is_gone():
@@ -101,92 +89,82 @@ def test_a_shared_session_is_one_for_all_environments_until_the_last_is_gone():
     wait_until_no_server_runs()
 
 
-def test_every_kind_of_content_becomes_an_observation():
-    env = around(bad())
-    try:
-        observation, info = step(env, "shapes")
-        shown = [part["text"] if part["type"] == "text" else part["image"].size for part in observation]
-        assert shown[1:-1] == [
-            "words",
-            (1, 1),
-            "[image that cannot be read, image/png, 9 bytes: cannot be shown as text]",
-            "[audio, audio/wav, 3 bytes: cannot be shown as text]",
-            "[resource notes:///a: A, text/plain]",
-            "[resource notes:///b]\ninside",
-            "[resource notes:///c, application/zip, 3 bytes: cannot be shown as text]",
-            "[something new: cannot be shown as text]\n",
-        ]
-        assert info["structured"] == {"n": 1}
-    finally:
-        env.close()
+def test_every_kind_of_content_becomes_an_observation(env):
+    observation, info = step(env, "shapes")
+    shown = [part["text"] if part["type"] == "text" else part["image"].size for part in observation]
+    assert shown[1:-1] == [
+        "words",
+        (1, 1),
+        "[image that cannot be read, image/png, 9 bytes: cannot be shown as text]",
+        "[audio, audio/wav, 3 bytes: cannot be shown as text]",
+        "[resource notes:///a: A, text/plain]",
+        "[resource notes:///b]\ninside",
+        "[resource notes:///c, application/zip, 3 bytes: cannot be shown as text]",
+        "[something new: cannot be shown as text]\n",
+    ]
+    assert info["structured"] == {"n": 1}
+
+
+# Faults.
 
 
 @pytest.mark.thorough
 def test_a_slow_call_is_given_up_and_the_session_goes_on():
     env = around(bad(call_timeout_s=3.0))
-    try:
-        observation, info = step(env, "slow")
-        assert observation == (
-            "The server bad was too slow: it did not answer within 3 s. The call was given up; it may have had its "
-            "effect all the same."
-        )
-        assert "fault" not in info  # a call may ask for what takes long
-        assert step(env, "cancelled")[0] == "1"  # the server was told
-        assert step(env, "count")[0] == "3"
-    finally:
-        env.close()
+    observation, info = step(env, "slow")
+    assert "did not answer within 3 s" in observation
+    assert "fault" not in info  # a call may ask for what takes long
+    assert step(env, "cancelled")[0] == "1"  # the server was told
+    assert step(env, "count")[0] == "3"
+    env.close()
 
 
-def test_a_server_that_dies_is_restarted_and_the_agent_is_told():
-    env = around(bad())
-    try:
-        assert step(env, "count")[0] == "1"
-        observation, info = step(env, "die")
-        assert observation == (
-            "The server bad was lost during the call: the server has ended (it ended with exit code 3; its standard "
-            "error ends with: I was told to die). Whether the call had its effect is not known. At the next call the "
-            "server is started again; what the server remembered may be lost."
-        )
-        assert info["fault"].startswith("died: ")
-        observation, info = step(env, "count")
-        assert (
-            observation == "[The server bad was restarted before this call: what the server remembered may be lost.]\n1"
-        )
-        assert info["restarted"]
-        assert step(env, "count")[0] == "2"
-    finally:
-        env.close()
+def test_a_server_that_dies_is_restarted_and_the_agent_is_told(tmp_path):
+    """The call is not repeated: it may have had its effect."""
+    log = tmp_path / "calls"
+    env = around(bad("log", env={"CALLS": str(log)}))
+    assert step(env, "count")[0] == "1"
+    observation, info = step(env, "die")
+    assert "the server has ended (its standard error ends with: I was told to die)" in observation
+    assert info["fault"].startswith("died: ")
+    observation, info = step(env, "count")
+    assert observation == "[The server bad was restarted before this call: what the server remembered may be lost.]\n1"
+    assert info["restarted"]
+    assert step(env, "count")[0] == "2"
+    assert log.read_text().split() == ["count", "die", "count", "count"]
+    env.close()
 
 
-def test_a_code_of_a_server_says_nothing_of_the_connection():
+def test_a_code_of_a_server_says_nothing_of_the_connection(env):
     """Servers answer with the codes by which the library tells of lost connections and of its clock."""
-    env = around(bad())
-    try:
-        for code in (-32000, -32001, -32700, -32600):
-            observation, info = step(env, "error", code=code)
-            assert observation == "The server bad refused the call: as asked"
-            assert "fault" not in info
-        assert step(env, "count")[0] == "5"  # nothing was restarted
-    finally:
-        env.close()
+    for code in (-32000, -32001, -32700, -32600):
+        observation, info = step(env, "error", code=code)
+        assert observation == "The server bad refused the call: as asked"
+        assert "fault" not in info
+    assert step(env, "count")[0] == "5"  # nothing was restarted
 
 
 def test_a_server_that_hangs_is_restarted_and_given_up_in_time(tmp_path):
     """It answers no ping either; a third call in the episode does not wait for it."""
     log = tmp_path / "calls"
     env = around(bad("deaf", "log", env={"CALLS": str(log)}, call_timeout_s=0.5))
-    try:
-        for _ in range(2):
-            assert step(env, "count")[0].endswith("1")
-            observation, info = step(env, "echo", text="x")
-            assert "The server bad hangs: it did not answer within 0.5 s, nor a ping within 1 s." in observation
-            assert info["fault"].startswith("hung: ")
-        observation, info = step(env, "echo", text="x")
-        assert "is not asked again" in observation
-        assert info["fault"].startswith("hung: ")
-        assert log.read_text().split() == ["count", "count"]
-    finally:
-        env.close()
+    for _ in range(2):
+        assert step(env, "count")[0].endswith("1")
+        assert step(env, "echo", text="x")[1]["fault"].startswith("hung: ")
+    observation, info = step(env, "echo", text="x")
+    assert "is not asked again" in observation
+    assert info["fault"].startswith("hung: ")
+    assert log.read_text().split() == ["count", "count"]
+    env.close()
+
+
+@pytest.mark.thorough
+def test_a_server_that_reads_nothing_any_more_is_restarted():
+    env = around(bad("deaf", call_timeout_s=3.0))
+    assert step(env, "count")[0] == "1"
+    assert step(env, "echo", text="x" * 1_000_000)[1]["fault"].startswith("hung: ")  # more than a pipe holds
+    assert step(env, "count")[0].endswith("what the server remembered may be lost.]\n1")
+    env.close()
 
 
 def test_a_session_has_a_folder_of_its_own(tmp_path):
@@ -206,149 +184,90 @@ def test_a_session_has_a_folder_of_its_own(tmp_path):
     assert list(folder.iterdir()) == []
 
 
-@pytest.mark.thorough
-def test_a_server_that_reads_nothing_any_more_is_restarted():
-    env = around(bad("deaf", call_timeout_s=3.0))
-    try:
-        assert step(env, "count")[0] == "1"
-        observation, info = step(env, "echo", text="x" * 1_000_000)  # more than a pipe holds
-        assert "The server bad hangs: it did not answer within 3 s, nor a ping within 3 s." in observation
-        assert info["fault"].startswith("hung: ")
-        assert step(env, "count")[0].endswith("what the server remembered may be lost.]\n1")
-    finally:
-        env.close()
-    wait_until_no_server_runs()
-
-
-@pytest.mark.thorough
-def test_a_call_that_may_have_had_its_effect_is_not_repeated(tmp_path):
-    log = tmp_path / "calls"
-    env = around(bad("log", env={"CALLS": str(log)}))
-    try:
-        assert step(env, "die")[1]["failed"]
-        assert log.read_text().split() == ["die"]
-    finally:
-        env.close()
-
-
 def test_answers_that_are_too_long_are_not_read():
+    """The server is started again: nobody knows which call it answered."""
     env = around(bad(max_chars=500))
-    try:
-        assert step(env, "blob", size=10_000_000)[0] == (
-            "The server bad answered with more than can be read: the answer is over 10,000,000 bytes long. "
-            "Ask for less at once."
-        )
-        observation, _ = step(env, "blob", size=50_000)
-        assert len(observation) == 500
-        assert observation.endswith("[50,000 characters, of which only the first are shown: ask for less at once.]")
-    finally:
-        env.close()
+    observation, _ = step(env, "blob", size=50_000)
+    assert len(observation) == 500
+    assert "50,000 characters" in observation
+    assert "over 10,000,000 bytes" in step(env, "blob", size=10_000_000)[0]
+    assert step(env, "count")[0].endswith("may be lost.]\n1")
+    env.close()
 
 
 @pytest.mark.thorough
-def test_questions_of_a_server_are_refused():
-    env = around(bad())
-    try:
-        assert "not supported" in step(env, "ask")[0]
-    finally:
-        env.close()
-
-
-def test_what_is_no_message_is_no_matter():
-    env = around(bad("garbage"))
-    try:
-        assert step(env, "count")[0] == "1"
-        assert step(env, "echo", text="x")[0] == "x"
-    finally:
-        env.close()
+@pytest.mark.parametrize(
+    ("way", "tool", "said"), [("", "ask", "not supported"), ("wrong-ids", "count", "within 0.5 s")]
+)
+def test_what_a_server_must_not_do_comes_to_nothing(way, tool, said):
+    """It asks for a completion, or answers what nobody asked."""
+    env = around(bad(way, call_timeout_s=0.5))
+    assert said in step(env, tool)[0]
+    env.close()
 
 
 @pytest.mark.thorough
-def test_answers_under_wrong_ids_are_waited_out():
-    env = around(bad("wrong-ids", call_timeout_s=0.5))
-    try:
-        assert "it did not answer within 0.5 s" in step(env, "count")[0]
-    finally:
-        env.close()
-
-
-@pytest.mark.thorough
-def test_a_server_that_knows_only_the_newest_version_of_the_protocol():
-    env = around(bad("modern"))
-    try:
-        assert step(env, "echo", text="x")[0] == "x"
-        assert step(env, "no-such-tool")[1]["failed"]
-    finally:
-        env.close()
-
-
-@pytest.mark.thorough
-def test_pages_are_read_and_endless_ones_are_cut():
-    assert [tool.name for tool in make_mcp(**bad("pages")[1])] == [tool.name for tool in make_mcp(**bad()[1])]
-    assert len(make_mcp(**bad("endless-pages", max_tools_chars=None)[1])) == 1000
+@pytest.mark.parametrize("way", ["garbage", "modern", "pages"])
+def test_servers_may_be_odd(way):
+    """They write what is no message, know only the newest version of the protocol, or list their tools in pages."""
+    env = around(bad(way))
+    assert step(env, "echo", text="x")[0] == "x"
+    assert step(env, "no-such-tool")[1]["failed"]
+    env.close()
 
 
 @pytest.mark.thorough
 def test_odd_names_and_schemas_cost_only_what_is_odd():
     env = around(bad("duplicates", "wrong-schema"))
-    try:
-        names = list(env.tools)
-        assert names.count("echo") == 1
-        assert {"odd_n_me_with_slashes", "odd_n_me_with_slashes_2"} < set(names)
-        assert step(env, "odd_n_me_with_slashes_2")[0] == "no tool odd näme? with/slashes"
-        assert step(env, "echo", text=3)[0] == "3"
-        assert step(env, "count", anything=1)[0] == "3"
-    finally:
-        env.close()
+    names = list(env.tools)
+    assert names.count("echo") == 1
+    assert {"odd_n_me_with_slashes", "odd_n_me_with_slashes_2"} < set(names)
+    assert step(env, "odd_n_me_with_slashes_2")[0] == "no tool odd näme? with/slashes"
+    assert step(env, "echo", text=3)[0] == "3"
+    assert step(env, "count", anything=1)[0] == "3"
+    env.close()
+    assert len(make_mcp(**bad("endless-pages", max_tools_chars=None)[1])) == 1000
 
 
 def test_two_servers_with_the_same_tools_are_told_apart():
     config = {name: {"command": sys.executable, "args": ["-S", BAD_SERVER]} for name in ("one", "two")}
     env = around(("mcp", {"config": {"mcpServers": config}}))
-    try:
-        assert [step(env, name)[0] for name in ("one_count", "one_count", "two_count")] == ["1", "2", "1"]
-    finally:
-        env.close()
+    assert [step(env, name)[0] for name in ("one_count", "one_count", "two_count")] == ["1", "2", "1"]
+    env.close()
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("way", "message"),
     [
-        (
-            "die-at-start",
-            "ended before it had answered; it ended with exit code 2; its standard error ends with: cannot open",
-        ),
+        ("die-at-start", "ended before it had answered; its standard error ends with: cannot open"),
         ("mute", "did not answer within 2 s; give it more with connect_timeout_s"),
         ("flood", "did not answer within 2 s"),
         ("refuse", "refused the connection: not today"),
+        ("no-list", "I keep this to myself"),
     ],
 )
 def test_a_server_that_does_not_start_is_an_error_that_says_why(way, message):
     with pytest.raises(ServerFault, match=f"^the MCP server 'bad' .* {re.escape(message)}"):
-        make_mcp(**bad(way, connect_timeout_s=2 if way in ("mute", "flood") else 60)[1])
-    wait_until_no_server_runs()
+        make_mcp(**bad(way, connect_timeout_s=2 if way in ("mute", "flood", "no-list") else 60)[1])
 
 
 def test_a_program_that_is_not_there_is_an_error_that_says_so():
-    message = (
-        "the MCP server 'no-such-program' cannot be started: there is no program 'no-such-program'; install it, or "
-        "write its whole path"
-    )
-    with pytest.raises(MissingRequirementError, match=f"^{re.escape(message)}$"):
+    with pytest.raises(MissingRequirementError, match="no-such-program"):
         make_mcp(command="no-such-program")
-    with pytest.raises(ArgumentError, match="include: no tool 'nothing'; there are echo, count"):
+    with pytest.raises(ArgumentError, match="there are echo, count"):
         make_mcp(**bad(include=["nothing"])[1])
 
 
 def test_servers_get_none_of_our_secrets(monkeypatch):
+    """And what they were given is blotted out of what they say."""
     monkeypatch.setenv("OPENAI_API_KEY", "secret")
     monkeypatch.setenv("LANG", "C.UTF-8")
     shown = "import os; print({name: value for name, value in os.environ.items() if name not in ('PATH', 'USER')})"
     command = f"import sys; sys.stdout = sys.stderr; {shown}"
     with pytest.raises(ServerFault) as caught:
-        make_mcp(command=sys.executable, args=["-c", command], env={"MINE": "1", "HOME": "/x"})
-    assert all(said in str(caught.value) for said in ("'LANG': 'C.UTF-8'", "'MINE': '1'", "'HOME': '/x'"))
+        make_mcp(command=sys.executable, args=["-c", command], env={"HOME": "/x", "TOKEN": "s3cret-s3cret"})
+    assert all(said in str(caught.value) for said in ("'LANG': 'C.UTF-8'", "'HOME': '/x'", "'TOKEN': '***'"))
     assert "OPENAI" not in str(caught.value)
 
 
@@ -375,7 +294,7 @@ def test_many_threads_at_once():
 
 @pytest.mark.thorough
 def test_inside_a_running_loop():
-    """Made, stepped and closed from coroutines on a loop of the caller's."""
+    """Made, stepped and closed on a loop of the caller's; made on the library's, where to wait for it would not end."""
 
     async def play() -> str:
         env = around(bad())
@@ -386,11 +305,6 @@ def test_inside_a_running_loop():
 
     assert "x" in asyncio.run(play())
 
-
-@pytest.mark.thorough
-def test_made_on_the_library_loop():
-    """Where waiting for the library's loop would never end."""
-
     async def make() -> ToolEnv:
         return ToolEnv(question(), [bad(env={"UNIQUE": "on the loop"})], max_tool_uses=None)
 
@@ -398,7 +312,6 @@ def test_made_on_the_library_loop():
     env.reset(seed=0)
     assert step(env, "count")[0] == "1"
     env.close()
-    wait_until_no_server_runs()
 
 
 @pytest.mark.thorough
@@ -410,21 +323,13 @@ def test_vector_backends(backend):
         for number in ("1", "2"):
             observations = env.step([action("count", {})] * 3)[0]
             assert all(f"Output of count:\n{number}\n" in observation for observation in observations)
-    wait_until_no_server_runs()
 
 
 @pytest.mark.thorough
-def test_tools_go_to_another_process_and_connect_there():
+def test_tools_keep_their_promises_and_go_to_another_process():
     tools = make_mcp(**bad(include=["count", "echo"])[1])
-    copies = pickle.loads(pickle.dumps(tools))
-    env = around(*copies)
+    assert len(check_tool(tools[0], {"text": "x"})) > 5
+    env = around(*pickle.loads(pickle.dumps(tools)))
     assert [step(env, "count")[0], step(env, "count")[0]] == ["1", "2"]
     assert len(servers_of()) == 1
     env.close()
-
-
-@pytest.mark.thorough
-def test_it_keeps_what_a_tool_promises():
-    tools = {tool.name: tool for tool in make_mcp(**bad()[1])}
-    assert len(check_tool(tools["echo"], {"text": "x"})) > 5
-    assert len(check_tool(tools["count"], {})) > 5

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from mcp import ClientSession, MCPError
 from mcp.shared.jsonrpc_dispatcher import JSONRPCDispatcher
-from mcp.types import METHOD_NOT_FOUND, UNSUPPORTED_PROTOCOL_VERSION, Implementation, Request
+from mcp.types import (
+    CONNECTION_CLOSED,
+    METHOD_NOT_FOUND,
+    UNSUPPORTED_PROTOCOL_VERSION,
+    Implementation,
+    Request,
+)
 from pydantic import TypeAdapter, ValidationError
 
 from gem_core import __version__
@@ -49,36 +55,6 @@ class ServerFault(GemError):
         self.kind = kind
 
 
-class _Messages:
-    """The stream of a server's messages, which calls a function at its end.
-
-    The library answers for a server that has ended by an error with a code, which a server may send as well.
-    """
-
-    def __init__(self, stream: Any, at_end: Callable[[], None]) -> None:
-        self._stream, self._at_end = stream, at_end
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    async def __aenter__(self) -> _Messages:
-        await self._stream.__aenter__()
-        return self
-
-    async def __aexit__(self, *reason: object) -> None:
-        await self._stream.__aexit__(*reason)
-
-    def __aiter__(self) -> _Messages:
-        return self
-
-    async def __anext__(self) -> Any:
-        try:
-            return await self._stream.__anext__()
-        except BaseException:  # also where the transport fails, which cancels who reads
-            self._at_end()
-            raise
-
-
 class Connection:
     """A session with a server, for any number of requests at once, on the event loop that ``open`` was awaited on."""
 
@@ -87,12 +63,9 @@ class Connection:
         self.has_tools = False
         self._remarks = Remarks()
         self._session: ClientSession | None = None
-        self._dispatcher: JSONRPCDispatcher[Any] | None = None
         self._modern = False
         self._owner: asyncio.Task[None] | None = None
         self._stop, self._ready = asyncio.Event(), asyncio.Event()
-        self._ended = False
-        """Whether the server's messages have ended."""
         self._cause: BaseException | None = None
         self._refusal = ""
 
@@ -102,42 +75,34 @@ class Connection:
         return self._session is not None and not self._stop.is_set()
 
     async def open(self) -> None:
-        """Connect, and shake hands; raise a GemError where that fails."""
+        """Connect, and shake hands; raise a GemError if that fails."""
         self._owner = asyncio.ensure_future(self._own())
         _owners.add(self._owner)
         self._owner.add_done_callback(_owners.discard)
-        timed_out = False
         try:
             async with asyncio.timeout(self.server.connect_s):
                 await self._ready.wait()
         except TimeoutError:
-            timed_out = True
+            self._cause = self._cause or TimeoutError()
         finally:
             if self._session is None:
                 await self.close()
         if self._session is None:
-            raise self._opening_fault(timed_out)
+            raise self._opening_fault()
 
     async def request(self, method: str, params: Mapping[str, Any], timeout_s: float) -> dict[str, Any]:
-        """Send a request and return its result, as the server wrote it; raise a ServerFault where there is none.
+        """Send a request and return its result, as the server wrote it; raise a ServerFault if there is none.
 
         On a timeout the server is told that nobody waits any more; if it still answers a ping, the session goes on.
         """
-        session, dispatcher = self._session, self._dispatcher
-        if session is None or dispatcher is None:
-            raise ServerFault("died", self._death())
+        if not self.alive:
+            raise await self._death()
         try:
             # This clock and no other: an error of a server may look as one of the library's clock.
             async with asyncio.timeout(timeout_s):
-                if self._modern:
-                    asked = Request[dict[str, Any], str](method=method, params=dict(params))
-                    answer: Any = _OBJECT  # the annotation knows of models alone
-                    return await session.send_request(asked, answer)  # type: ignore[no-any-return]
-                # Not through the session: one tool that is malformed would cost the whole list, and the session holds
-                # results to output schemas in ways that a hostile one can draw out for ever.
-                return await dispatcher.send_raw_request(method, params)
+                return await self._send(method, dict(params))
         except TimeoutError:
-            raise await self._lateness(dispatcher, timeout_s) from None
+            return await self._late(timeout_s)
         except MCPError as error:
             raise await self._fault(error) from None
         except (ValidationError, RuntimeError, ValueError) as error:
@@ -149,7 +114,7 @@ class Connection:
         self._stop.set()
 
     async def close(self) -> None:
-        """Close the session; a server that was started is ended, with all that it started. Harmless when repeated."""
+        """Close the session, and end a server that was started here. Harmless when repeated."""
         self._stop.set()
         if self._owner is None:
             return
@@ -160,13 +125,13 @@ class Connection:
         await asyncio.wait({self._owner}, timeout=_CLOSE_S)
 
     def said(self) -> str:
-        """Return what the server said besides messages, and how it ended, in words; nothing where there is nothing."""
+        """Return what the server said besides messages; nothing if there is nothing."""
         return self.server.without_secrets(str(self._remarks))
 
     async def _own(self) -> None:
         try:
             async with transport(self.server, self._remarks) as (reading, writing):
-                self._dispatcher = JSONRPCDispatcher(_Messages(reading, self._end), writing)
+                self._dispatcher = JSONRPCDispatcher(reading, writing)
                 session = ClientSession(
                     dispatcher=self._dispatcher,
                     client_info=Implementation(name="gem", version=__version__),
@@ -185,6 +150,7 @@ class Connection:
                 self._cause = self._cause.exceptions[0]
         finally:
             self._session = None
+            self._remarks.close()
             self._ready.set()
 
     async def _shake_hands(self, session: ClientSession) -> None:
@@ -199,45 +165,49 @@ class Connection:
             self._modern = True
         self.has_tools = session.server_capabilities is not None and session.server_capabilities.tools is not None
 
+    async def _send(self, method: str, params: dict[str, Any]) -> dict[str, Any]:
+        if self._modern and self._session is not None:
+            answer: Any = _OBJECT  # the annotation knows of models alone
+            asked = Request[dict[str, Any], str](method=method, params=params)
+            return await self._session.send_request(asked, answer)  # type: ignore[no-any-return]
+        # Not through the session: one tool that is malformed would cost the whole list, and the session holds results
+        # to output schemas in ways that a hostile one can draw out for ever.
+        return await self._dispatcher.send_raw_request(method, params)
+
     async def _notice(self, message: object) -> None:
         if isinstance(message, ValidationError):
             self._remarks.stray = shortened(str(message.errors()[0]["input"]))
+            if self._remarks.stray == TOO_LONG:  # nobody knows which answer it was
+                self.stop()
 
     # What went wrong.
 
-    def _end(self) -> None:
-        self._ended = True
-        self.stop()
-
     def _lost(self, error: MCPError) -> bool:
         """Tell whether an error is that messages have ended: all, or over HTTP those that would answer the request."""
-        return self._ended or (self.server.transport != STDIO and error.message.startswith("SSE stream "))
+        closed = error.code == CONNECTION_CLOSED and error.message == "Connection closed"
+        return closed or (self.server.transport != STDIO and error.message.startswith("SSE stream "))
 
-    async def _lateness(self, dispatcher: JSONRPCDispatcher[Any], timeout_s: float) -> ServerFault:
-        """Tell a call that is slow from a server that hangs, by a ping."""
+    async def _late(self, timeout_s: float) -> dict[str, Any]:
+        """Tell a call that is slow from a server that hangs, by a ping; raise what is the case."""
         late = f"it did not answer within {timeout_s:g} s"
         limit_s = min(max(timeout_s, _PING_S[0]), _PING_S[1])
         try:
             async with asyncio.timeout(limit_s):
-                await dispatcher.send_raw_request("ping", None)
+                await self._dispatcher.send_raw_request("ping", None)
         except MCPError as error:  # an answer, too, unless there will be none
             if self._lost(error):
-                return await self._fault(error)
+                raise await self._fault(error) from None
         except TimeoutError:
             self.stop()
-            return ServerFault("hung", f"{late}, nor a ping within {limit_s:g} s")
-        return ServerFault("timeout", late)
+            raise ServerFault("hung", f"{late}, nor a ping within {limit_s:g} s") from None
+        raise ServerFault("timeout", late)
 
     async def _fault(self, error: MCPError) -> ServerFault:
         message = self._shown(error.message) or "no reason given"
         if self._lost(error):
-            self.stop()
-            if self._ended:  # else, over HTTP, the answer's stream alone has ended
-                await self.close()  # to learn the exit code
-                message = self._death()
-            return ServerFault("died", message)
+            return await self._death()
         if TOO_LONG in message:
-            return ServerFault("too_long", message[message.index(TOO_LONG) :])
+            return ServerFault("too_long", TOO_LONG)
         if self.server.transport != STDIO:
             if message == "Session terminated":
                 self.stop()
@@ -246,17 +216,19 @@ class Connection:
                 return ServerFault("protocol", message)
         return ServerFault("error", message)
 
-    def _death(self) -> str:
-        """Return how the server went, in words."""
-        if self.server.transport == STDIO:
-            said = self.said()
-            return f"the server has ended ({said})" if said else "the server has ended"
-        return "the connection broke" + (f" ({self._words()})" if self._cause is not None else "")
+    async def _death(self) -> ServerFault:
+        await self.close()  # to learn why
+        if self._remarks.stray == TOO_LONG:
+            return ServerFault("too_long", TOO_LONG)
+        ended = "the server has ended" if self.server.transport == STDIO else "the connection broke"
+        said = self.said() if self.server.transport == STDIO else self._cause and self._words()
+        return ServerFault("died", f"{ended} ({said})" if said else ended)
 
-    def _opening_fault(self, timed_out: bool) -> GemError:
-        if isinstance(self._cause, GemError):
-            return self._cause
-        if timed_out:
+    def _opening_fault(self) -> GemError:
+        cause = self._cause
+        if isinstance(cause, GemError):
+            return cause
+        if isinstance(cause, TimeoutError):
             text = f"did not answer within {self.server.connect_s:g} s; give it more with connect_timeout_s"
         elif self._refusal:
             text = f"refused the connection: {self._shown(self._refusal)}"

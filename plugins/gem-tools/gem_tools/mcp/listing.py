@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import tempfile
 import threading
-from collections.abc import Coroutine, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,6 @@ from gem_tools.mcp.text import shortened
 if TYPE_CHECKING:
     from gem_tools.mcp.config import Server
 
-MAX_PAGES = 100
 MAX_ITEMS = 1000
 
 _asking = threading.Lock()
@@ -43,7 +42,7 @@ class Listing:
 
 
 def listings(servers: Sequence[Server]) -> list[Listing]:
-    """Return what servers offer, in order; raise a GemError where one cannot be used."""
+    """Return what servers offer, in order; raise a GemError if one cannot be used."""
     found = asked(servers)
     errors = [listing.error for listing in found if listing.error is not None]
     if len(errors) > 1:
@@ -55,21 +54,13 @@ def listings(servers: Sequence[Server]) -> list[Listing]:
 
 def asked(servers: Sequence[Server]) -> list[Listing]:
     """Return what servers offer, in order; waits, also on a running event loop."""
-    with _asking:  # where several threads want to know, the first asks, and the others wait for it
+    with _asking:  # if several threads want to know, the first asks, and the others wait for it
         new = [server for server in dict.fromkeys(servers) if server not in _listings]
-        found = _listings | (dict(zip(new, _wait_for(_ask_all(new)), strict=True)) if new else {})
+        with ThreadPoolExecutor(1) as thread:  # with a loop of its own: the caller may be on an event loop itself
+            told = thread.submit(asyncio.run, _ask_all(new)).result() if new else []
+        found = _listings | dict(zip(new, told, strict=True))
         _listings.update({server: found[server] for server in new if found[server].error is None})
         return [found[server] for server in servers]
-
-
-def _wait_for(coroutine: Coroutine[Any, Any, list[Listing]]) -> list[Listing]:
-    """Run a coroutine on an event loop of its own, which also works inside another."""
-    try:
-        asyncio.get_running_loop()
-    except RuntimeError:
-        return asyncio.run(coroutine)
-    with ThreadPoolExecutor(1) as pool:
-        return pool.submit(asyncio.run, coroutine).result()
 
 
 async def _ask_all(servers: Sequence[Server]) -> list[Listing]:
@@ -78,57 +69,48 @@ async def _ask_all(servers: Sequence[Server]) -> list[Listing]:
 
 async def _ask(server: Server) -> Listing:
     with tempfile.TemporaryDirectory(prefix="gem-mcp-", ignore_cleanup_errors=True) as folder:
-        return await _told_by(server.in_folder(folder))
-
-
-async def _told_by(server: Server) -> Listing:
-    connection = Connection(server)
-    try:
-        await connection.open()
-    except GemError as error:
-        return Listing(error=error)
-    try:
-        async with asyncio.timeout(server.connect_s):
-            return await _listing(connection)
-    except (ServerFault, TimeoutError) as fault:
-        why = str(fault) or f"it did not list its tools within {server.connect_s:g} s"
-        said = "" if isinstance(fault, ServerFault) and fault.kind == "died" else connection.said()
-        message = f"the MCP server {server.name!r} ({server.place}) does not tell what it offers: {why}"
-        return Listing(error=ServerFault("unreachable", f"{message}; {said}" if said else message))
-    finally:
-        await connection.close()
+        connection = Connection(server.in_folder(folder))
+        try:
+            await connection.open()
+        except GemError as error:
+            return Listing(error=error)
+        try:
+            async with asyncio.timeout(server.connect_s):
+                return await _listing(connection)
+        except (ServerFault, TimeoutError) as fault:
+            why = str(fault) or f"it did not list its tools within {server.connect_s:g} s"
+            said = "" if isinstance(fault, ServerFault) and fault.kind == "died" else connection.said()
+            message = f"the MCP server {server.name!r} ({server.place}) does not tell what it offers: {why}"
+            return Listing(error=ServerFault("unreachable", f"{message}; {said}" if said else message))
+        finally:
+            await connection.close()
 
 
 async def _listing(connection: Connection) -> Listing:
+    """Return all tools as the server lists them, page by page; a list that does not end is cut."""
     problems: list[str] = []
     tools: dict[str, Offer] = {}
-    for item in await _pages(connection, problems) if connection.has_tools else ():
+    items: list[Any] = []
+    cursor: Any = None
+    while connection.has_tools:
+        params = {} if cursor is None else {"cursor": cursor}
+        page = await connection.request("tools/list", params, connection.server.connect_s)
+        found, last, cursor = page.get("tools"), cursor, page.get("nextCursor")
+        if not isinstance(found, list):
+            raise ServerFault("protocol", "the answer to tools/list has no list of tools")
+        items += found[: MAX_ITEMS - len(items)]
+        if not isinstance(cursor, str) or not cursor:
+            break
+        if not found or cursor == last or len(items) == MAX_ITEMS:
+            problems.append(f"its list of tools does not end; the first {len(items)} are used")
+            break
+    for item in items:
         offer = _offer(item, problems)
         if offer is not None and offer.name in tools:
             problems.append(f"it has several tools of the name {shortened(offer.name)!r}; only the first is used")
         elif offer is not None:
             tools[offer.name] = offer
     return Listing(tuple(tools.values()), tuple(problems))
-
-
-async def _pages(connection: Connection, problems: list[str]) -> list[Any]:
-    """Return all tools as the server lists them, page by page; a list that does not end is cut."""
-    items: list[Any] = []
-    cursors: list[str] = []
-    while len(cursors) < MAX_PAGES and len(items) < MAX_ITEMS:
-        params = {"cursor": cursors[-1]} if cursors else {}
-        page = await connection.request("tools/list", params, connection.server.connect_s)
-        found, cursor = page.get("tools"), page.get("nextCursor")
-        if not isinstance(found, list):
-            raise ServerFault("protocol", "the answer to tools/list has no list of tools")
-        items += found[: MAX_ITEMS - len(items)]
-        if not isinstance(cursor, str) or not cursor:
-            return items
-        if cursor in cursors:
-            break
-        cursors.append(cursor)
-    problems.append(f"its list of tools does not end; the first {len(items)} are used")
-    return items
 
 
 def _offer(item: object, problems: list[str]) -> Offer | None:
