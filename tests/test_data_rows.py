@@ -7,6 +7,7 @@ import gzip
 import json
 import os
 import pickle
+import re
 import subprocess
 import sys
 import weakref
@@ -21,7 +22,7 @@ from hypothesis import strategies as st
 
 import gem_core as gem
 from gem_core.data import load_rows
-from gem_core.errors import ArgumentError, DatasetError, EntryPointError
+from gem_core.errors import ArgumentError, DatasetError, EntryPointError, MissingRequirementError
 from gem_core.registry.lookup import Registry
 
 ROWS: list[dict[str, Any]] = [
@@ -94,25 +95,20 @@ def test_every_form_gives_the_same_rows(kind: str, tmp_path: Path) -> None:
     assert [dict(row) for row in pickle.loads(pickle.dumps(rows))] == expected
 
 
-@pytest.mark.filterwarnings("ignore:Length of header or names")
 def test_values_of_csv_stay_as_they_are_written(tmp_path: Path) -> None:
     """An answer 007, 1.50, NA or an empty one is a text, and no number or nothing; an index of pandas is left out."""
     path = tmp_path / "sums[1].csv"
-    path.write_text(",question,answer\n0,a,007\n1,b,1.50\n2,c,NA\n3,d,\n", encoding="utf-8")
-    assert [row["answer"] for row in load_rows(path)] == ["007", "1.50", "NA", ""]
-    path.write_text("question,answer\na,1,\nb,2,\n", encoding="utf-8")
-    assert [dict(row) for row in load_rows(path)] == [
-        {"question": "a", "answer": "1"},
-        {"question": "b", "answer": "2"},
-    ]
+    path.write_text(f",question,answer\n0,a,007\n1,b,1.50\n\n2,c,NA\n3,d,\n4,{'e' * 200_000}\n", encoding="utf-8")
+    assert [row["answer"] for row in load_rows(path)] == ["007", "1.50", "NA", "", ""]
+    path.write_text('question,answer\n"a, ""b""\nc",1,\n', encoding="utf-8")
+    assert list(load_rows(path)) == [{"question": 'a, "b"\nc', "answer": "1"}]
 
 
-def test_json_that_holds_lines_is_read_as_lines(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["sums.json", "sums.jsonl"])
+def test_json_that_holds_lines_is_read_as_lines(tmp_path: Path, name: str) -> None:
     """Many such are called .json; blank lines, a byte order mark and a last line without its end are fine."""
-    path = tmp_path / "sums.json"
+    path = tmp_path / name
     path.write_bytes(b"\xef\xbb\xbf" + LINES.replace("\n", "\r\n\r\n").encode().strip())
-    assert list(load_rows(path)) == ROWS
-    path = path.rename(tmp_path / "sums.jsonl")
     assert list(load_rows(path)) == ROWS
 
 
@@ -130,14 +126,8 @@ def test_images_are_decoded() -> None:
     from PIL import Image
 
     pictures = datasets.Dataset.from_dict(
-        {"problem": ["Which colour?"], "answer": ["red"], "images": [[Image.new("RGB", (2, 2), "red")]]},
-        features=datasets.Features(
-            {
-                "problem": datasets.Value("string"),
-                "answer": datasets.Value("string"),
-                "images": datasets.List(datasets.Image()),
-            }
-        ),
+        {"images": [[Image.new("RGB", (2, 2), "red")]]},
+        features=datasets.Features({"images": datasets.List(datasets.Image())}),
     )
     (image,) = load_rows(pictures)[0]["images"]
     assert (image.size, image.getpixel((0, 0))) == ((2, 2), (255, 0, 0))
@@ -155,16 +145,16 @@ def test_split_of_several_must_be_chosen(tmp_path: Path) -> None:
     sources: list[Any] = [tmp_path / "saved", str(tmp_path / "files"), both]
     for source in sources:
         assert len(load_rows(source, split="test")) == 2
-        with pytest.raises(DatasetError, match=r"several splits; choose one with split=: 'train', 'test'"):
+        with pytest.raises(DatasetError, match="'train', 'test'"):
             load_rows(source)
-        with pytest.raises(DatasetError, match=r"no split 'tets' .*Did you mean 'test'\? Splits: 'train', 'test'"):
+        with pytest.raises(DatasetError, match=r"'tets' .*Did you mean 'test'\? Splits: 'train', 'test'"):
             load_rows(source, split="tets")
 
 
 def test_lone_file_is_the_split_train(lines: Path) -> None:
-    """As ``datasets`` has it; any other is an error that says what to do."""
+    """As ``datasets`` has it."""
     assert len(load_rows(lines, split="train")) == 10
-    with pytest.raises(DatasetError, match=r"no split 'test' in .*a lone file is the split 'train'; leave split away"):
+    with pytest.raises(DatasetError, match=r"no split 'test' in .*'train'"):
         load_rows(lines, split="test")
 
 
@@ -182,45 +172,39 @@ def test_filter_and_map_by_function_and_by_name(lines: Path) -> None:
     rows = load_rows(lines, row_filter=is_easy, map_row=f"{__name__}:doubled")
     assert [row["problem"] for row in rows] == [f"Twice: {number} + 1 = ?" for number in (0, 3, 6, 9)]
     assert list(load_rows(ROWS, row_filter=f"{__name__}:is_easy")) == ROWS[::3]
-    with pytest.raises(EntryPointError, match=r"row_filter: '.*test_data_rows' has no 'is_eazy'\. Did you mean"):
+    with pytest.raises(EntryPointError, match="'is_eazy'"):
         load_rows(lines, row_filter=f"{__name__}:is_eazy")
-    with pytest.raises(ArgumentError, match=r"row_filter must be a function or 'package\.module:function', not 3"):
+    with pytest.raises(ArgumentError, match=r"row_filter must .* not 3"):
         load_rows(lines, row_filter=3)  # type: ignore[arg-type]
 
 
 def test_filter_or_map_that_fails_names_the_row(lines: Path) -> None:
     """With what it raised, and the columns there are."""
-    with pytest.raises(
-        DatasetError, match=r"row_filter failed on row 0: KeyError: 'lvl'\. Columns: 'problem', 'answer'"
-    ):
+    with pytest.raises(DatasetError, match=r"row_filter .* row 0: KeyError: 'lvl'\. Columns: 'problem', 'answer'"):
         load_rows(lines, row_filter=lambda row: row["lvl"])
-    with pytest.raises(DatasetError, match="map_row must return a mapping of columns to values, not a NoneType"):
+    with pytest.raises(DatasetError, match=r"map_row must .* NoneType"):
         load_rows(lines, map_row=lambda row: None)[0]
-    with pytest.raises(DatasetError, match=r"row_filter leaves none of the 10 rows of '.*sums\.jsonl'"):
+    with pytest.raises(DatasetError, match=r"none of the 10 rows of '.*sums\.jsonl'"):
         load_rows(lines, row_filter=lambda row: False)
 
 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.jsonl", b'{"a": 1}\n{"a": \n', "line 2 is not JSON"),
-        (
-            "a.jsonl",
-            b'{"a": 1}\n[1, 2]\n',
-            'line 2: a row must be an object, as in {"question": …}, and this is: [1',
-        ),
+        ("a.jsonl", b'{"a": 1}\n{"a": \n', "a.jsonl, line 2 is not JSON"),
+        ("a.jsonl", b'{"a": 1}\n[1, 2]\n', "a.jsonl, line 2: a row must be an object"),
         ("a.jsonl", b"\xff\xfe\x00", "line 1 is not JSON"),
         ("a.jsonl", b"[" * 100_000, "is not JSON"),
         ("a.json", b'{"a": ' * 100_000 + b"1" + b"}" * 100_000, "line 1 is not JSON"),
         ("a.jsonl", b'{"a": ' + b"1" * 5000 + b"}", "line 1 is not JSON"),
-        ("a.jsonl.gz", b"not gzip", "cannot be read"),
+        ("a.jsonl.gz", b"not gzip", "a.jsonl.gz cannot be read"),
         ("a.json", b"{", "is not JSON"),
-        ("a.json", b"[1]", 'row 0: a row must be an object, as in {"question": …}, and this is: 1'),
-        ("a.csv", b'a,b\n"1,2\n', "cannot be loaded: ParserError: Error tokenizing data"),
-        ("a.csv", b"a,b\n1,2,3,4\n1,2,3,4,5\n", "cannot be loaded"),
+        ("a.json", b"[1]", "a.json, row 0: a row must be an object"),
+        ("a.csv", b'a,b\n"1,2\n', "a.csv, line 2: unexpected end of data"),
+        ("a.csv", b"a,b\n1,2\n1,2,3\n", "a.csv, line 3: it has more values"),
         ("a.csv", b"a,b\n\xff,2\n", "can't decode byte 0xff"),
-        ("a.parquet", b"garbage", "cannot be loaded"),
-        ("a.xlsx", b"", "has an ending that is not known; known are: .jsonl, .ndjson, .json, .csv, .tsv, .parquet"),
+        ("a.parquet", b"garbage", "a.parquet' cannot be loaded"),
+        ("a.xlsx", b"", "known are: .jsonl, .ndjson, .json, .csv, .tsv, .parquet"),
     ],
 )
 def test_garbled_file_is_an_error_that_says_where(name: str, content: bytes, message: str, tmp_path: Path) -> None:
@@ -232,7 +216,7 @@ def test_garbled_file_is_an_error_that_says_where(name: str, content: bytes, mes
     assert message in str(caught.value)
 
 
-@given(content=st.binary(max_size=200), name=st.sampled_from(["a.jsonl", "a.json", "a.jsonl.gz"]))
+@given(content=st.binary(max_size=200), name=st.sampled_from(["a.jsonl", "a.json", "a.jsonl.gz", "a.csv"]))
 def test_any_bytes_give_rows_or_an_error_of_ours(
     content: bytes, name: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -257,55 +241,28 @@ def test_json_lines_come_back_the_same(rows: list[dict[str, Any]], tmp_path_fact
     assert list(load_rows(path)) == rows
 
 
-def test_unknown_path_names_what_lies_there(tmp_path: Path) -> None:
+def test_unknown_path_names_what_lies_there(lines: Path) -> None:
     """A name that is none of a hub either."""
-    (tmp_path / "right.jsonl").write_text(LINES, encoding="utf-8")
-    with pytest.raises(DatasetError) as caught:
-        load_rows(str(tmp_path / "wrong.jsonl"))
-    assert str(caught.value) == (
-        f"there is no file or folder {str(tmp_path / 'wrong.jsonl')!r}, and it is no name of the hub. "
-        f"In {str(tmp_path)!r} there is: right.jsonl"
-    )
-    with pytest.raises(DatasetError, match="is no path"):
-        load_rows("a" * 5000)
-    with pytest.raises(DatasetError, match="the name of the data set is empty; give a path or a name on the hub"):
-        load_rows("")
+    with pytest.raises(DatasetError, match=r"wrong\.jsonl'.* there is: sums\.jsonl"):
+        load_rows(str(lines.with_name("wrong.jsonl")))
+    for name in "a" * 5000, "":
+        with pytest.raises(DatasetError):
+            load_rows(name)
 
 
 @pytest.mark.parametrize("split", ["train[a:9]", "train[5]", "train[1:2:3]", "train[", "]"])
-def test_part_of_a_split_that_cannot_be_read_is_named(split: str, tmp_path: Path) -> None:
+def test_part_of_a_split_that_cannot_be_read_is_named(split: str, lines: Path) -> None:
     """With the form that it has."""
-    path = tmp_path / "rows.jsonl"
-    path.write_text(LINES, encoding="utf-8")
-    with pytest.raises(ArgumentError) as caught:
-        load_rows(path, split=split)
-    assert str(caught.value) == (f"a part of a split is written as in 'train[:100]' or 'train[10%:20%]', not {split!r}")
-
-
-OFFLINE = """
-import sys, gem_core as gem
-for _ in range(2):
-    try:
-        gem.DatasetEnv(dataset_name="nobody/nothing-of-this-name")
-    except gem.GemError as error:
-        print(type(error).__name__, error)
-"""
+    with pytest.raises(ArgumentError, match=re.escape(f"'train[:100]' or 'train[10%:20%]', not {split!r}")):
+        load_rows(lines, split=split)
 
 
 def test_hub_that_is_not_reached_is_an_error_with_advice() -> None:
     """It comes from the library's own attempt."""
-    done = subprocess.run(
-        [sys.executable, "-c", OFFLINE],
-        env={**os.environ, "HF_HUB_OFFLINE": "1"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    first, second = done.stdout.splitlines()
-    assert first.startswith("DatasetError the data set 'nobody/nothing-of-this-name' is not in the cache")
-    assert first.endswith("go online once, or give the path of a local copy as dataset_name")
-    assert second == first
+    code = "import gem_core as gem; gem.DatasetEnv(dataset_name='nobody/nothing-of-this-name')"
+    env = {**os.environ, "HF_HUB_OFFLINE": "1"}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=120)
+    assert "DatasetError: the data set 'nobody/nothing-of-this-name' is not in the cache" in done.stderr
 
 
 def test_hub_that_failed_is_not_asked_again_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -330,24 +287,20 @@ def test_file_that_a_package_ships(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     (tmp_path / "shipping" / "data" / "sums.jsonl").write_text(LINES, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     assert list(load_rows("shipping:data/sums.jsonl")) == ROWS
-    with pytest.raises(DatasetError, match=r"there is no file or folder .*In '.*shipping/data' there is: sums\.jsonl"):
+    with pytest.raises(DatasetError, match=r"shipping/data' there is: sums\.jsonl"):
         load_rows("shipping:data/sum.jsonl")
-    with pytest.raises(
-        DatasetError, match=r"there is no package 'shiping', so that shiping:data/sums\.jsonl is nowhere"
-    ):
+    with pytest.raises(DatasetError, match="there is no package 'shiping'"):
         load_rows("shiping:data/sums.jsonl")
 
 
-def test_without_the_library_the_error_names_the_command(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, lines: Path
-) -> None:
-    """Text files need no more than the core."""
+def test_without_the_library_the_error_names_the_command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Files of text need no more than the core."""
     monkeypatch.setitem(sys.modules, "datasets", None)
-    assert len(load_rows(lines)) == 10
-    path = tmp_path / "sums.parquet"
-    path.write_bytes(b"")
-    with pytest.raises(gem.GemError, match=r"needs the package datasets: pip install 'gem-core\[datasets\]'"):
-        load_rows(path)
+    for kind in ".jsonl", ".json", ".csv.gz", ".tsv":
+        assert len(load_rows(write_as(kind, tmp_path))) == 10
+    (tmp_path / "sums.parquet").touch()
+    with pytest.raises(MissingRequirementError, match=r"pip install 'gem-core\[datasets\]'"):
+        load_rows(tmp_path / "sums.parquet")
 
 
 def test_environments_share_their_rows(lines: Path) -> None:
@@ -359,11 +312,11 @@ def test_environments_share_their_rows(lines: Path) -> None:
         assert gem.DatasetEnv(dataset_name=path, question_key="problem").rows is load_rows(path)
     given = datasets.Dataset.from_list(ROWS)
     assert load_rows(given, row_filter=is_easy) is load_rows(given, row_filter=is_easy)
-    before = load_rows(parquet)
+    before, was = load_rows(parquet), load_rows(lines)
     lines.write_text(LINES + json.dumps(ROWS[0]) + "\n", encoding="utf-8")
     datasets.Dataset.from_list(ROWS[:3]).to_parquet(parquet)
     assert (len(load_rows(lines)), len(load_rows(parquet))) == (11, 3)
-    assert [dict(row) for row in before] == ROWS
+    assert [dict(row) for row in before] == list(was) == ROWS
 
 
 def test_rows_that_nobody_uses_are_given_up(lines: Path, tmp_path: Path) -> None:
@@ -393,20 +346,11 @@ def test_environments_of_many_threads_load_a_file_once(lines: Path) -> None:
     assert len(seen) == 10
 
 
-def test_file_replaced_while_in_use_changes_nothing(lines: Path) -> None:
-    """Nor does one that is overwritten in place."""
-    rows = load_rows(lines)
-    lines.write_text("", encoding="utf-8")
-    assert list(rows) == ROWS
-
-
 def test_folder_of_several_data_sets_says_to_give_one_of_its_files(tmp_path: Path) -> None:
     """Files with other columns are no one data set."""
     (tmp_path / "a.jsonl").write_text('{"x": 1}\n', encoding="utf-8")
     (tmp_path / "b.jsonl").write_text('{"y": {"z": [1]}}\n', encoding="utf-8")
-    with pytest.raises(
-        DatasetError, match=r"If its files are data sets of their own, give one of them: a\.jsonl, b\.js"
-    ):
+    with pytest.raises(DatasetError, match=r"give one of them: a\.jsonl, b\.jsonl"):
         load_rows(tmp_path)
 
 
@@ -435,16 +379,14 @@ def test_registered_file_is_made_and_planned(lines: Path, own_registry: Registry
 @pytest.mark.parametrize("given", [{}, {"rows": ROWS, "dataset_name": "x"}])
 def test_rows_or_a_name_must_be_given(given: dict[str, Any]) -> None:
     """Exactly one of them."""
-    with pytest.raises(ArgumentError, match="give either rows or dataset_name"):
+    with pytest.raises(ArgumentError, match="rows or dataset_name"):
         gem.DatasetEnv(**given)
 
 
 def test_choice_that_would_be_ignored_is_refused(lines: Path) -> None:
     """Of a split of rows that are given, and of a subset or a version of a file."""
     for option in ("config", "revision"):
-        with pytest.raises(
-            ArgumentError, match=f"{option} chooses from what is on the hub, and '.*sums.jsonl' is here"
-        ):
-            gem.DatasetEnv(dataset_name=lines, question_key="problem", **{option: "main"})  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="split chooses from a named data set, and rows were given"):
-        gem.DatasetEnv(ROWS, split="test")
+        with pytest.raises(ArgumentError, match=f"{option} .*sums.jsonl"):
+            load_rows(lines, **{option: "main"})  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="split "):
+        load_rows(ROWS, split="test")

@@ -29,23 +29,23 @@ def test_row_is_drawn_by_seed_without_options() -> None:
 
 
 @pytest.mark.parametrize(
-    ("action", "reward"),
+    ("action", "answer"),
     [
-        ("\\boxed{4}", 1.0),
-        ("so \\boxed{ 4 }", 1.0),
-        ("<answer>4</answer>", 1.0),
-        ("\\boxed{5}", 0.0),
-        ("4", 0.0),
-        ("", 0.0),
+        ("\\boxed{4}", "4"),
+        ("so \\boxed{ 4 }", "4"),
+        ("<answer>4</answer>", "4"),
+        ("\\boxed{5}", "5"),
+        ("4", None),
+        ("", None),
     ],
 )
-def test_default_grade_compares_the_boxed_or_tagged_answer(action: str, reward: float) -> None:
-    """Letter for letter, white space around it apart."""
+def test_default_grade_compares_the_boxed_or_tagged_answer(action: str, answer: str | None) -> None:
+    """Letter for letter, white space around it apart; a response without an answer has none."""
     env = gem.DatasetEnv(ROWS)
     env.reset(options={"index": 3})
-    observation, got, terminated, truncated, info = env.step(action)
-    assert (observation, got, terminated, truncated) == (gem.TERMINAL_STATE, reward, True, False)
-    assert info["correct"] is (reward == 1.0)
+    observation, reward, terminated, truncated, info = env.step(action)
+    assert (observation, reward, terminated, truncated) == (gem.TERMINAL_STATE, float(answer == "4"), True, False)
+    assert (info["correct"], info["parsed_action"]) == (answer == "4", answer)
 
 
 def test_own_grade_and_template() -> None:
@@ -83,20 +83,20 @@ def test_index_out_of_range_is_refused(index: object) -> None:
 
 def test_unknown_option_is_refused() -> None:
     """The error names the nearest."""
-    with pytest.raises(ArgumentError, match=r"no option 'indx'\. Did you mean 'index'\?"):
+    with pytest.raises(ArgumentError, match=r"'indx'.* 'index'"):
         gem.DatasetEnv(ROWS).reset(options={"indx": 1})
 
 
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        ([], "the data set is empty; check its name, its split and any filter"),
+        ([], "is empty"),
         ([{"q": "a", "answer": "b"}], "no column 'question' in the data set. Columns: 'q', 'answer'"),
         ([{"question": "a", "answers": "b"}], "no column 'answer' in the data set. Did you mean 'answers'?"),
-        ([3], "a row must map columns to values, and the first is a int"),
-        (3, "rows must be a sequence of mappings, not int"),
-        ({}, "the data set is empty"),
-        ({"a": 1}, "rows must be a sequence of mappings, not dict"),
+        ([3], "int"),
+        (3, "int"),
+        ({}, "is empty"),
+        ({"a": 1}, "dict"),
     ],
 )
 def test_rows_that_cannot_be_asked_are_refused(rows: Any, message: str) -> None:
@@ -128,21 +128,13 @@ def test_index_may_be_a_whole_number_of_numpy() -> None:
     assert (info["index"], type(info["index"])) == (2, int)
 
 
-def test_state_names_the_row() -> None:
-    """Another instance grades against the row of the saved episode."""
-    env, other = gem.DatasetEnv(ROWS), gem.DatasetEnv(ROWS)
+def test_fork_grades_against_the_same_row() -> None:
+    """It holds the row of the episode, and shares all of them."""
+    env = gem.DatasetEnv(ROWS)
     env.reset(seed=0, options={"index": 3})
-    other.reset(seed=0, options={"index": 1})
     other = env.fork()
     assert other.step("\\boxed{4}")[1] == 1.0
-
-
-def test_what_was_read_is_the_parsed_action() -> None:
-    """A response without an answer has none."""
-    env = gem.DatasetEnv(ROWS)
-    env.reset(options={"index": 3})
-    assert env.step("so \\boxed{ 9 }")[4]["parsed_action"] == "9"
-    assert env.step("nine")[4]["parsed_action"] is None
+    assert other.rows is env.rows
 
 
 def test_braces_of_a_problem_survive() -> None:
@@ -154,17 +146,13 @@ def test_braces_of_a_problem_survive() -> None:
 
 def test_template_without_a_place_is_refused() -> None:
     """The error names the places there could be, the gold answer's not among them."""
-    with pytest.raises(ArgumentError) as caught:
+    with pytest.raises(ArgumentError, match=r"It may name \{question\} or a column: \{question\}, \{name\}$"):
         gem.DatasetEnv(ROWS, prompt_template="Solve {questoin}: {answer}")
-    assert str(caught.value) == (
-        "prompt_template shows nothing of a row: 'Solve {questoin}: {answer}'. "
-        "It may name {question} or a column: {question}, {name}"
-    )
 
 
 def test_later_row_without_a_column_is_an_error_at_its_reset() -> None:
     """Columns of JSON lines may differ from row to row."""
     env = gem.DatasetEnv([{"question": "a", "answer": "b"}, {"question": "a"}])
     env.reset(options={"index": 0})
-    with pytest.raises(DatasetError, match=r"row 1 has no column 'answer'\. Columns: 'question'"):
+    with pytest.raises(DatasetError, match=r"no column 'answer' in row 1\..* 'question'"):
         env.reset(options={"index": 1})

@@ -211,9 +211,7 @@ class DatasetEnv(Env):
 
     def _take(self, index: int) -> None:
         row = self.rows[index]
-        for key in (self.question_key, self.answer_key, self.id_key):
-            if key is not None and key not in row:
-                raise DatasetError(f"row {index} has no column {key!r}. Columns: {_list_columns(row)}")
+        self._check_columns(row, f"in row {index}")
         self._index, self._row = index, row
 
     def _checked_first_row(self, name: str) -> Row:
@@ -225,11 +223,14 @@ class DatasetEnv(Env):
             raise DatasetError(f"the data set{name} is empty; check its name, its split and any filter")
         if not isinstance(first, Mapping):
             raise DatasetError(f"a row must map columns to values, and the first is a {type(first).__name__}")
-        for key in filter(None, (self.question_key, self.answer_key, self.id_key)):
-            if key not in first:
-                hint = did_you_mean(key, first)
-                raise DatasetError(f"no column {key!r} in the data set.{hint} Columns: {_list_columns(first)}")
+        self._check_columns(first, "in the data set")
         return first
+
+    def _check_columns(self, row: Row, where: str) -> None:
+        for key in (self.question_key, self.answer_key, self.id_key):
+            if key is not None and key not in row:
+                columns = ", ".join(map(repr, row))
+                raise DatasetError(f"no column {key!r} {where}.{did_you_mean(key, row)} Columns: {columns}")
 
     def _column_at(self, place: re.Match[str]) -> str | None:
         """Return the column that a place of the template names, or None if it stands for itself."""
@@ -267,7 +268,3 @@ def boxed_or_tagged(answer: str) -> str:
     r"""Return an answer in ``\boxed{}``, or between ``<answer>`` tags where its braces would break a box."""
     boxed = f"\\boxed{{{answer}}}"
     return boxed if extract_last_boxed_answer(boxed) == answer.strip() else f"<answer>{answer}</answer>"
-
-
-def _list_columns(row: Row) -> str:
-    return ", ".join(map(repr, row))

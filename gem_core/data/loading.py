@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, cast
 from weakref import WeakValueDictionary
 
-from gem_core.data.files import JSON_ENDINGS, ending, local_path, read_json, stamp
+from gem_core.data.files import TEXT_ENDINGS, ending, local_path, read_text, stamp
 from gem_core.data.hub import dataset_rows, is_from_datasets, load_with_datasets, one_split
 from gem_core.data.rows import Row, Rows
 from gem_core.errors import ArgumentError, DatasetError
@@ -41,9 +41,9 @@ def load_rows(
 ) -> Sequence[Row]:
     """Return the rows of a data set.
 
-    Rows of the same source are loaded once in a process, and are shared by all that ask for them. Files of JSON are
-    held in memory; all else is loaded by the package ``datasets``, and stays mapped from its cache. A file that was
-    changed since is loaded anew. Without a network, set ``HF_HUB_OFFLINE=1``: ``datasets`` then reads its cache at
+    Rows of the same source are loaded once in a process, and are shared by all that ask for them. Files of JSON and
+    CSV are held in memory; all else is loaded by the package ``datasets``, and stays mapped from its cache. A file that
+    was changed since is loaded anew. Without a network, set ``HF_HUB_OFFLINE=1``: ``datasets`` then reads its cache at
     once, else after 23 s.
 
     Args:
@@ -64,29 +64,28 @@ def load_rows(
         EntryPointError: A function that is given by name is not there.
         ArgumentError: A value that is not accepted.
     """
-    whole, part = _split_and_part(split)
+    name, part = _split_and_part(split)
     keep, change = _function(row_filter, "row_filter"), _function(map_row, "map_row")
     with _lock:
-        rows = _whole_split(source, whole, config, revision)
+        # The whole split.
+        rows: Sequence[Row]
+        if not isinstance(source, str | os.PathLike):
+            rows = _given_rows(source, name, config, revision)
+        elif (path := local_path(source)) is None:
+            asked = str(source), name, config, revision
+            rows = _shared(("hub", *asked), lambda: _hub_rows(*asked))
+        else:
+            there = f"what is on the hub, and {str(path)!r} is here"
+            _refuse(there, config=config if path.is_file() else None, revision=revision)
+            rows = _shared(("local", stamp(path), name, config), lambda: _local_rows(path, name, config))
+        if isinstance(rows, Rows):
+            _recent.append(rows)
+
+        # What is asked for of it.
         if part is not None or keep is not None:
             key = ("selected", id(rows), len(rows), part, keep)
             rows = _shared(key, lambda: _select_rows(rows, part, keep, source))
     return rows if change is None else Rows(range(len(rows)), partial(_map_row, change, rows))
-
-
-def _whole_split(source: RowSource, split: str | None, config: str | None, revision: str | None) -> Sequence[Row]:
-    if not isinstance(source, str | os.PathLike):
-        return _given_rows(source, split, config, revision)
-    path = local_path(source)
-    if path is None:
-        asked = str(source), split, config, revision
-        rows = _shared(("hub", *asked), lambda: _hub_rows(*asked))
-    else:
-        there = f"what is on the hub, and {str(path)!r} is here"
-        _refuse(there, config=config if path.is_file() else None, revision=revision)
-        rows = _shared(("local", stamp(path), split, config), lambda: _local_rows(path, split, config))
-    _recent.append(rows)
-    return rows
 
 
 def _given_rows(source: Any, split: str | None, config: str | None, revision: str | None) -> Sequence[Row]:
@@ -108,8 +107,8 @@ def _local_rows(path: Path, split: str | None, config: str | None) -> Rows:
         raise DatasetError(
             f"no split {split!r} in {str(path)!r}: a lone file is the split 'train'; leave split away (split=None)"
         )
-    if ending(path) in JSON_ENDINGS:
-        return read_json(path)
+    if ending(path) in TEXT_ENDINGS:
+        return read_text(path)
     return load_with_datasets(path, split=None, config=None, revision=None)
 
 
