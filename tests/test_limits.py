@@ -29,11 +29,8 @@ def test_turn_limit_truncates_at_the_limit() -> None:
     env = gem.make("test:Echo-v0", wrappers=[("turn_limit", {"max_turns": 2})])
     env.reset(seed=1)
     assert [env.step("x")[2:4], env.step("x")[2:4]] == [(False, False), (False, True)]
-    with pytest.raises(ResetNeededError) as caught:
+    with pytest.raises(ResetNeededError, match=r"^test:Echo-v0"):
         env.step("x")
-    assert str(caught.value) == (
-        "test:Echo-v0: the episode is over or has not begun; call reset() before the next step()"
-    )
     env.reset()
     assert env.step("x")[3] is False
 
@@ -49,9 +46,8 @@ def test_turn_limit_leaves_the_task_its_own_end() -> None:
 @pytest.mark.parametrize("max_turns", [0, -1, 1.5, "3", True, None])
 def test_turn_limit_takes_positive_whole_numbers(max_turns: Any) -> None:
     """Anything else is refused with its value."""
-    with pytest.raises(ArgumentError) as caught:
+    with pytest.raises(ArgumentError, match="max_turns"):
         TurnLimit(EchoEnv(), max_turns)
-    assert str(caught.value) == f"max_turns must be a positive whole number, not {max_turns!r}"
 
 
 def test_max_turns_of_a_record_is_an_implicit_limit() -> None:

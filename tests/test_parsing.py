@@ -104,12 +104,7 @@ def naive_box(text: str) -> str | None:
 def test_box_agrees_with_a_naive_reading(text: str) -> None:
     """One pass finds what trying every box finds."""
     assert extract_last_boxed_answer(text) == naive_box(text)
-
-
-@given(BOXES)
-def test_short_cut_agrees_with_the_whole_pass(text: str) -> None:
-    """Trying the last box first changes nothing."""
-    assert [extract_last_boxed_answer(text)] == (extract_boxed_answers(text)[-1:] or [None])
+    assert (extract_boxed_answers(text) or [None])[-1] == naive_box(text)
 
 
 @pytest.mark.parametrize(
@@ -271,27 +266,8 @@ def test_any_text_is_taken(text: str) -> None:
 
 MEGABYTE = 1_000_000
 HOSTILE = [
-    "\\boxed{",
-    "\\boxed",
-    "\\boxed ",
-    "{",
-    "}",
-    "\\",
-    "\\boxed{{",
-    "\\\\boxed",
-    "<answer>",
-    "</answer>",
-    "<answer",
-    "<",
-    "```\n",
-    "```",
-    "`",
-    "~",
-    "~~~x ",
-    "```x\n",
-    " ",
-    "\n",
-    "   ```\n",
+    *("\\boxed{", "\\boxed", "\\boxed ", "{", "}", "\\", "\\boxed{{", "\\\\boxed", "<answer>", "</answer>", "<answer"),
+    *("<", "```\n", "```", "`", "~", "~~~x ", "```x\n", " ", "\n", "   ```\n"),
 ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
@@ -60,23 +61,17 @@ def test_a_task_that_draws_nothing_is_shown_by_its_last_observation() -> None:
 
 def test_human_prints_on_reset_and_step(capsys: pytest.CaptureFixture[str]) -> None:
     """As Gymnasium does; ``render`` returns None then. Control characters are made visible."""
-    env = gem.make("test:Shout-v0", render_mode="human")
+    env: Any = gem.make("test:Shout-v0", render_mode="human")
     env.reset(seed=1)
     env.step("hello")
     assert (env.render_mode, env.render()) == ("human", None)
     assert capsys.readouterr().out == "Say something.\nYou said hello\\x07\n"
 
+    async def in_a_loop() -> None:
+        await env.reset_async(1)
+        await env.step_async("hello")
 
-async def step_in_a_loop(env: Any) -> None:
-    await env.reset_async(1)
-    await env.step_async("hello")
-
-
-def test_human_prints_in_an_event_loop(capsys: pytest.CaptureFixture[str]) -> None:
-    """The same from coroutines."""
-    import asyncio
-
-    asyncio.run(step_in_a_loop(gem.make("test:Shout-v0", render_mode="human")))
+    asyncio.run(in_a_loop())
     assert capsys.readouterr().out == "Say something.\nYou said hello\\x07\n"
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import copy
-import pickle
 import subprocess
 import sys
 from collections.abc import Callable, Coroutine
@@ -152,9 +150,8 @@ def test_hook_that_forgot_its_return_is_named(hook: str, run: Any) -> None:
         env.reset()
         env.step("x")
 
-    with pytest.raises(TypeError) as caught:
+    with pytest.raises(TypeError, match=rf"^Forgetful\.{hook} returned None"):
         run(asynchronous()) if run else plain()
-    assert str(caught.value) == f"Forgetful.{hook} returned None; see Wrapper.{hook} for what it has to return"
 
 
 def test_reset_without_options_reaches_an_author_without_them() -> None:
@@ -198,12 +195,8 @@ def test_plain_step_on_the_library_loop_is_refused() -> None:
     async def main() -> None:
         env.step("x")
 
-    with pytest.raises(BridgeError) as caught:
+    with pytest.raises(BridgeError, match="step_async"):
         on_library_loop(main())
-    assert str(caught.value) == (
-        "a synchronous step was called on the library's own event loop, where it would wait for itself; "
-        "call 'await env.step_async(action)' there instead"
-    )
 
 
 def test_coroutines_of_an_environment_always_run_on_one_loop() -> None:
@@ -247,27 +240,23 @@ def test_concurrency_is_what_the_whole_stack_needs(make: Any, needs: str) -> Non
 # Attributes.
 
 
-def test_attributes_are_never_stale() -> None:
-    """An attribute that changes inside is read anew from outside."""
+def test_public_attributes_are_read_from_the_inside() -> None:
+    """Anew each time; a name that nothing in the stack has is an AttributeError of the innermost class."""
     env: Any = Noting(gym_wrappers.OrderEnforcing(Guard(EchoEnv())))
     assert env.turns == 99
     env.unwrapped.turns = 3
     assert env.turns == 3
+    with pytest.raises(AttributeError, match=r"'EchoEnv' .* 'trun'"):
+        _ = Noting(Guard(EchoEnv())).trun
 
 
-@pytest.mark.parametrize("name", ["_np_random_secret", "__secret__", "_get"])
+@pytest.mark.parametrize("name", ["_np_random_secret", "__secret__"])
 def test_private_attributes_are_not_passed_on(name: str) -> None:
     """A private name of the task is not an attribute of its wrapper."""
     task = EchoEnv()
     setattr(task, name, 1)
-    with pytest.raises(AttributeError, match=f"^'Guard' object has no attribute '{name}'$"):
+    with pytest.raises(AttributeError, match=f"'Guard' .* '{name}'"):
         getattr(Guard(task), name)
-
-
-def test_unknown_attribute_names_the_task() -> None:
-    """A name that nothing in the stack has is an AttributeError of the innermost class."""
-    with pytest.raises(AttributeError, match=r"^'EchoEnv' object has no attribute 'trun'$"):
-        _ = Noting(Guard(EchoEnv())).trun
 
 
 def test_failing_property_of_a_wrapper_shows_its_own_error() -> None:
@@ -282,18 +271,6 @@ def test_failing_property_of_a_wrapper_shows_its_own_error() -> None:
         _ = Failing(EchoEnv()).turns
 
 
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_stack_is_copied_with_its_state(duplicate: Any) -> None:
-    """A stack survives deepcopy and pickle, in the middle of an episode, and shares nothing."""
-    env = gem.make("test:Echo-v0", wrappers=[("turn_limit", {"max_turns": 3}), "episode_stats"])
-    env.reset(seed=1)
-    env.step("x")
-    again = duplicate(env)
-    assert again.step("x")[:4] == env.step("x")[:4]
-    assert again.unwrapped is not env.unwrapped
-    assert again.step("x")[4]["episode"]["l"] == 3
-
-
 # Specification.
 
 
@@ -302,6 +279,7 @@ def test_specification_lists_wrappers_and_not_the_implicit_ones() -> None:
     env = gem.make("test:Echo-v0", wrappers=["episode_stats", ("turn_limit", {"max_turns": 3})])
     assert env.spec.wrappers == (("episode_stats", {}), ("turn_limit", {"max_turns": 3}))  # type: ignore[union-attr]
     assert gem.make("test:Echo-v0").spec.wrappers == ()  # type: ignore[union-attr]
+    assert Noting(EchoEnv()).spec is None
 
 
 @pytest.mark.parametrize(
@@ -311,11 +289,6 @@ def test_wrapper_put_by_hand_is_in_the_specification(put: Any) -> None:
     """A wrapper that a program puts around is recorded by its place and arguments, and made again."""
     env = put(gem.make("test:Echo-v0"))
     assert env.spec.wrappers == (("echo_env:Noting", {"mark": "q"}),)
-
-
-def test_bare_stack_has_no_specification() -> None:
-    """Without make there is no specification."""
-    assert Noting(EchoEnv()).spec is None
 
 
 # Another one.
