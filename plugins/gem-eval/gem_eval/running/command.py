@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import signal
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -36,6 +35,10 @@ def _suites_and_ids(ctx: click.Context, incomplete: str) -> list[tuple[str, str]
     from gem_eval.suites import builtin_suites
 
     return [*((name, "suite") for name in builtin_suites() if name.startswith(incomplete)), *env_ids(ctx, incomplete)]
+
+
+_OF_SESSION = ("error_threshold", "step_timeout", "backend", "prices", "cache", "out", "new", "go_on_anyway")
+"""Options that the session takes under the same names."""
 
 
 @click.command(
@@ -143,15 +146,7 @@ def command(
     list_suites: bool,
     models: tuple[str, ...],
     retry_errors: str | None,
-    error_threshold: float,
     num_envs: int | None,
-    step_timeout: float | None,
-    backend: str,
-    prices: str | None,
-    cache: str | None,
-    out: str | None,
-    new: bool,
-    go_on_anyway: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -171,38 +166,30 @@ def command(
         _list_suites(as_json)
         return
     ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
-    limits = Limits(**{name: options.pop(name) for name in list(vars(Limits()))})
-    suite = _suite(targets, options)
+    limits = Limits(**{name: options.pop(name) for name in vars(Limits())})
+    settings: dict[str, Any] = {name: options.pop(name) for name in _OF_SESSION}
     session = EvaluationSession(
-        suite,
+        _suite(targets, options),
         [*models],
-        out=out,
         limits=limits,
-        prices=prices,
-        cache=cache,
         retry_errors=_causes(retry_errors),
-        error_threshold=error_threshold,
         max_concurrency=num_envs,
-        step_timeout=step_timeout,
-        backend=backend,
-        new=new,
-        go_on_anyway=go_on_anyway,
         command=shlex.join(without_secrets(shlex.split(call_again(ctx, {"new", "go_on_anyway", "retry_errors"})))),
+        **settings,
     )
-    counts = _Counts(session)
-    _begin(session, counts)
+    total, before = session.plan.episodes, session.already_done()
+    _begin(session, total, before)
+    solved, errors = [], 0
     stopped_by: BaseException | None = None
-    with Progress(counts.total, suite.name, quiet=session.interactive) as progress:
+    with Progress(total, session.suite.name, quiet=session.interactive) as progress:
         try:
-            for row in session.play():
-                counts.add(row)
-                progress.advance(counts.done, counts.status())
+            for done, row in enumerate(session.play(), start=before + 1):
+                errors += row.error is not None
+                solved += [] if row.success is None else [row.success]
+                success = [f"success {sum(solved) / len(solved):.0%}"] if solved else []
+                progress.advance(done, ", ".join([*success, counted(errors, "error")] if errors else success))
         except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - raised again below, after the table
             stopped_by = error
-            if isinstance(error, KeyboardInterrupt):
-                # A second Ctrl-C would cut off what is said after the first.
-                before_it = signal.signal(signal.SIGINT, signal.SIG_IGN)
-                ctx.call_on_close(lambda: signal.signal(signal.SIGINT, before_it))
     if stopped_by is not None and not session.path.joinpath("run.json").exists():
         raise stopped_by
     rows = session.rows()
@@ -217,13 +204,13 @@ def command(
     _finish(ctx, session, rows, stopped_by)
 
 
-def _begin(session: EvaluationSession, counts: _Counts) -> None:
+def _begin(session: EvaluationSession, total: int, before: int) -> None:
     """Say which run goes on, and which roles are of no use."""
     for role in session.suite.roles:
         if not any(role in task.kwargs for task in session.plan.tasks):
             click.echo(f"gem: no task has the role {role!r}: no environment has a keyword of that name", err=True)
-    if counts.before:
-        done = f"{counts.before} of {counts.total} episodes are there"
+    if before:
+        done = f"{before} of {total} episodes are there"
         click.echo(f"gem: going on with {session.path}, where {done}; --new begins another run", err=True)
     if session.changed:
         click.echo(f"gem: changed since the last session: {'; '.join(session.changed)}", err=True)
@@ -238,40 +225,18 @@ def _finish(ctx: click.Context, session: EvaluationSession, rows: list[Row], sto
     silent = session.run.info.get("silent") or []
     if silent and session.limits.of_usage:
         click.echo(f"gem: no limit of tokens or cost held for {', '.join(silent)}, which report no usage", err=True)
-    total = session.plan.episodes
+    done = f"after {len(rows)} of {session.plan.episodes} episodes; the same command"
     if isinstance(stopped_by, KeyboardInterrupt):
-        click.echo(f"gem: interrupted after {len(rows)} of {total} episodes; the same command goes on", err=True)
+        click.echo(f"gem: interrupted {done} goes on", err=True)
         ctx.exit(INTERRUPTED)
     if stopped_by is not None:
-        click.echo(f"gem: stopped after {len(rows)} of {total} episodes; the same command goes on", err=True)
+        click.echo(f"gem: stopped {done} goes on", err=True)
         raise stopped_by
     reason = session.run.info.get("reason")
     if reason is not None:
-        click.echo(
-            f"gem: the limit --{reason.replace(' ', '-')} was reached after {len(rows)} of {total} episodes; the same "
-            "command with a higher limit goes on",
-            err=True,
-        )
+        limit = reason.replace(" ", "-")
+        click.echo(f"gem: the limit --{limit} was reached {done} with a higher limit goes on", err=True)
     ctx.exit(1 if errors or reason is not None else 0)
-
-
-class _Counts:
-    """How far a run is, for the progress line."""
-
-    def __init__(self, session: EvaluationSession) -> None:
-        self.total = session.plan.episodes
-        self.before = self.done = session.already_done()
-        self._solved = self._judged = self._errors = 0
-
-    def add(self, row: Row) -> None:
-        self.done += 1
-        self._errors += row.error is not None
-        self._judged += row.success is not None
-        self._solved += row.success is True
-
-    def status(self) -> str:
-        parts = [f"success {self._solved / self._judged:.0%}"] if self._judged else []
-        return ", ".join([*parts, counted(self._errors, "error")] if self._errors else parts)
 
 
 def _suite(targets: tuple[str, ...], options: dict[str, Any]) -> Suite:

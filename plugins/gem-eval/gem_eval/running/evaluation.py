@@ -40,8 +40,9 @@ class TooManyErrorsError(GemError):
 
 
 class EvaluationOptions(SuiteChanges, total=False):
-    """The keyword arguments of ``evaluate`` that say what is played, and how; see there."""
+    """How a run is played: keyword arguments of ``evaluate``, which says what they mean, beside ``SuiteChanges``."""
 
+    command: str | None
     out: str | Path | None
     limits: Limits | None
     prices: str | Path | None
@@ -79,6 +80,7 @@ def evaluate(
         backend: Where environments live; see ``make_vec``.
         new: Begin another run, also where one of the same suite and models was stopped.
         go_on_anyway: Go on with a run although the code of its environments or agents was changed.
+        command: What was typed, for the record.
         on_episode: Called with the row of each episode when it has been written.
         options: Also what the suite says otherwise, for all of its tasks: ``epochs``, ``seed``, ``limit``, ``episodes``
             and so on; see ``SuiteChanges``.
@@ -98,53 +100,31 @@ def evaluate(
 
 
 class EvaluationSession:
-    """One session of a run: what is played is fixed when it is made; see ``evaluate`` for the arguments.
-
-    Args:
-        command: What was typed, for the record.
-    """
+    """One session of a run: what is played is fixed when it is made; see ``evaluate`` for the arguments."""
 
     def __init__(
-        self,
-        suite: Suite | str | Path | Sequence[str],
-        models: Models,
-        *,
-        out: str | Path | None = None,
-        limits: Limits | None = None,
-        prices: str | Path | None = None,
-        cache: str | Path | None = None,
-        retry_errors: Sequence[str] | bool = False,
-        error_threshold: float = 0.5,
-        max_concurrency: int | None = None,
-        step_timeout: float | None = None,
-        backend: str = "auto",
-        new: bool = False,
-        go_on_anyway: bool = False,
-        command: str | None = None,
-        **changes: Unpack[SuiteChanges],
+        self, suite: Suite | str | Path | Sequence[str], models: Models, **options: Unpack[EvaluationOptions]
     ) -> None:
+        own = EvaluationOptions.__annotations__.keys() - SuiteChanges.__annotations__.keys()
+        changes: Any = {name: value for name, value in options.items() if name not in own}
         self.suite = changed_suite(as_suite(suite), changes)
-        self.limits = limits or Limits()
-        self._prices, self._prices_file = load_prices(prices), prices
-        self._cache_folder = cache
-        self._retry = retry_errors
-        self._threshold = error_threshold
-        self._max_concurrency = max_concurrency
-        self._step_timeout, self._backend = step_timeout, backend
-        self._command = command
+        self._options = options
+        self.limits = options.get("limits") or Limits()
+        self._prices = load_prices(options.get("prices"))
+        self._retry = options.get("retry_errors", False)
         self._scores: list[Score] | None = None
         self._given = models or self.suite.models
         self._agents, self._models = _load_models(self._given, self.suite)
         self.plan: Evaluation = plan_evaluation(self.suite, self._models)
         self._settings: dict[str, Any] = json.loads(json.dumps(self._described_run()))
         self._check_prices()
-        self.path, self.goes_on = self._find_folder(out, new)
+        self.path, self.goes_on = self._find_folder(options.get("out"), options.get("new", False))
         self._run: Run | None = None
         self.changed: list[str] = []
         """What was changed of the code since the session before."""
         if self.goes_on and self.already_done() < self.plan.episodes:
             self.changed = self._changes()
-        if self.changed and not go_on_anyway:
+        if self.changed and not options.get("go_on_anyway"):
             there = f"{self.path}, where {self.already_done()} of {self.plan.episodes} episodes are there"
             raise ArgumentError(
                 f"{there}, was begun with other code: {'; '.join(self.changed)}. --go-on-anyway goes on, and mixes the "
@@ -223,7 +203,8 @@ class EvaluationSession:
                 writer.write_metrics(self.metrics())
 
     def _episodes(self, writer: RunWriter, meter: RunMeter, before: list[Row], at_end: ExitStack) -> Iterator[Row]:
-        cache = None if self._cache_folder is None else ResponseCache(self._cache_folder)
+        folder, threshold = self._options.get("cache"), self._options.get("error_threshold", 0.5)
+        cache = None if folder is None else ResponseCache(folder)
         if cache is not None:
             at_end.callback(cache.close)
         agents = {name: self._metered(name, agent, meter, cache) for name, agent in self._agents.items()}
@@ -240,9 +221,9 @@ class EvaluationSession:
         vector = gem.make_vec(
             self.plan.envs,
             slots,
-            backend=self._backend,
+            backend=self._options.get("backend", "auto"),
             seed=self.suite.seed,
-            step_timeout=self._step_timeout,
+            step_timeout=self._options.get("step_timeout"),
             max_faults=self.plan.episodes,
         )
         at_end.callback(vector.close)
@@ -251,9 +232,9 @@ class EvaluationSession:
             row = writer.write(episode, self._evaluation(episode, meter))
             yield row
             count, errors = count + 1, errors + (row.error is not None)
-            if count >= LEAST_FOR_THRESHOLD and errors > self._threshold * count:
+            if count >= LEAST_FOR_THRESHOLD and errors > threshold * count:
                 raise TooManyErrorsError(
-                    f"{errors} of {count} episodes had an error, more than the threshold of {self._threshold:.0%}; "
+                    f"{errors} of {count} episodes had an error, more than the threshold of {threshold:.0%}; "
                     f"the last: {row.error}"
                 )
 
@@ -293,8 +274,8 @@ class EvaluationSession:
             raise ArgumentError(f"{self.path} holds an episode with the key {key!r}, which this run has not") from None
 
     def _slots(self) -> int:
-        if self._max_concurrency is not None:
-            return self._max_concurrency
+        if (chosen := self._options.get("max_concurrency")) is not None:
+            return chosen
         if self.interactive:
             return 1
         return max(int(getattr(agent, "max_concurrency", DEFAULT_REQUESTS)) for agent in self._agents.values())
@@ -351,17 +332,14 @@ class EvaluationSession:
         info: dict[str, Any] = {
             "schema_version": 1,
             "status": "running",
-            "command": self._command,
+            "command": self._options.get("command"),
             **self._settings,
-            "prices": {"file": self._prices_file and str(self._prices_file), "as_of": self._prices.as_of},
-            "cache": self._cache_folder and str(self._cache_folder),
+            "prices": {"file": _path(self._options.get("prices")), "as_of": self._prices.as_of},
+            "cache": _path(self._options.get("cache")),
             "versions": versions(),
             "host": host(),
-            "sessions": [],
+            "sessions": list(self.run.info.get("sessions", [])) if self.goes_on else [],
         }
-        if self.goes_on:
-            earlier = self.run.info
-            info["sessions"] = list(earlier.get("sessions", []))
         changed = {"changed": self.changed} if self.changed else {}
         info["sessions"].append({"started": time.time(), "ended": None, **changed})
         return info
@@ -460,6 +438,10 @@ def _load_models(given: Models, suite: Suite) -> tuple[dict[str, Agent], list[Mo
             models.append(model.model_copy(update={"name": name, "perturb": both}))
             agents[name] = agents[model.label]
     return agents, models
+
+
+def _path(path: str | Path | None) -> str | None:
+    return None if path is None else str(path)
 
 
 def _remove_if_empty(path: Path) -> None:

@@ -56,11 +56,6 @@ class Limits:
         return self.episode_cost is not None or self.run_cost is not None
 
     @property
-    def of_episodes(self) -> dict[str, float]:
-        """The limits of an episode, which its score depends on."""
-        return {name: limit for name, limit in vars(self).items() if name.startswith("episode") and limit is not None}
-
-    @property
     def of_usage(self) -> bool:
         """Whether the token counts of servers are needed."""
         return self.of_cost or self.episode_tokens is not None or self.run_tokens is not None
@@ -110,15 +105,9 @@ class RunMeter:
         """Models whose server does not tell token counts."""
 
     def reached(self) -> str | None:
-        """Return the limit of the run that has been reached."""
-        limits, total = self.limits, self.total
-        if limits.run_time is not None and time.monotonic() - total.started >= limits.run_time:
-            return "run time"
-        if limits.run_tokens is not None and total.tokens >= limits.run_tokens:
-            return "run tokens"
-        if limits.run_cost is not None and (total.cost or 0.0) >= limits.run_cost:
-            return "run cost"
-        return None
+        """Return the limit of the run that has been reached, as ``"run time"``."""
+        kind = self._reached("run", self.total)
+        return None if kind is None else f"run {kind}"
 
     def check(self, meter: Meter) -> None:
         """Raise an error where an episode, or the run, has reached a limit.
@@ -126,28 +115,25 @@ class RunMeter:
         Raises:
             EpisodeLimitError: It has.
         """
-        limits = self.limits
         if (reached := self.reached()) is not None:
             raise EpisodeLimitError(f"the {reached} is used up", limit=reached)
-        if limits.episode_time is not None and time.monotonic() - meter.started >= limits.episode_time:
-            raise EpisodeLimitError("the time of the episode is used up", limit="time")
-        if limits.episode_tokens is not None and meter.tokens >= limits.episode_tokens:
-            raise EpisodeLimitError("the tokens of the episode are used up", limit="token budget")
-        if limits.episode_cost is not None and (meter.cost or 0.0) >= limits.episode_cost:
-            raise EpisodeLimitError("the cost of the episode is reached", limit="cost")
+        if (kind := self._reached("episode", meter)) is not None:
+            limit = "token budget" if kind == "tokens" else kind
+            raise EpisodeLimitError(f"the {kind} of the episode is used up", limit=limit)
+
+    def _reached(self, scope: str, meter: Meter) -> str | None:
+        taken = {"time": time.monotonic() - meter.started, "tokens": meter.tokens, "cost": meter.cost or 0.0}
+        for kind, amount in taken.items():
+            limit = getattr(self.limits, f"{scope}_{kind}")
+            if limit is not None and amount >= limit:
+                return kind
+        return None
 
     def deadline(self, meter: Meter) -> tuple[float | None, str]:
         """Return when an open request is given up, on ``time.monotonic()``, and the limit that says so."""
-        limits = self.limits
-        ends = [
-            (start + seconds, name)
-            for start, seconds, name in (
-                (meter.started, limits.episode_time, "time"),
-                (self.total.started, limits.run_time, "run time"),
-            )
-            if seconds is not None
-        ]
-        return min(ends, default=(None, ""), key=lambda end: end[0] or 0.0)
+        limits = {"time": (meter, self.limits.episode_time), "run time": (self.total, self.limits.run_time)}
+        ends = [(each.started + seconds, name) for name, (each, seconds) in limits.items() if seconds is not None]
+        return min(ends, default=(None, ""))
 
 
 class MeteredAgent:
@@ -187,29 +173,25 @@ class MeteredAgent:
         Raises:
             EpisodeLimitError: A limit is reached.
         """
-        meter = self._begin(context)
-        key, kept = self._look_up(observation, context)
+        meter, key, kept = self._begin(observation, context)
         if kept is not None:
-            meter.cached += 1
             return kept
         asked = time.monotonic()
         return self._note(meter, asked, key, cast("str", self._agent(observation, context)))
 
-    def _begin(self, context: Context) -> Meter:
-        meter = self._meter.episodes.get(context.episode)
-        if meter is None:
-            meter = self._meter.episodes[context.episode] = Meter()
+    def _begin(self, observation: Observation, context: Context) -> tuple[Meter, str, Response | None]:
+        """Check the limits; return the meter of the episode, the key of the request, and the answer that is kept."""
+        meter = self._meter.episodes.setdefault(context.episode, Meter())
         self._meter.check(meter)
-        return meter
-
-    def _look_up(self, observation: Observation, context: Context) -> tuple[str, Response | None]:
         if self._cache is None:
-            return "", None
+            return meter, "", None
         told = [observation, context.tools, context.system]
         key, _, epoch = context.episode.rpartition(".")
         repeat = [context.env_id, self._rows[int(key)], context.turn, epoch]
         request = self._cache.key([self._identity, told, repeat])
-        return request, self._cache.find(request)
+        kept = self._cache.find(request)
+        meter.cached += kept is not None
+        return meter, request, kept
 
     def _note(self, meter: Meter, asked: float, key: str, answer: str) -> str:
         meter.model_seconds += time.monotonic() - asked
@@ -229,10 +211,8 @@ class AsyncMeteredAgent(MeteredAgent):
 
     async def __call__(self, observation: Observation, context: Context) -> Any:
         """Return the agent's answer; see ``MeteredAgent``."""
-        meter = self._begin(context)
-        key, kept = self._look_up(observation, context)
+        meter, key, kept = self._begin(observation, context)
         if kept is not None:
-            meter.cached += 1
             return kept
         asked = time.monotonic()
         deadline, limit = self._meter.deadline(meter)

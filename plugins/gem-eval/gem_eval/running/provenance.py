@@ -11,6 +11,7 @@ import platform
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,8 @@ Code = dict[str, str]
 
 def versions() -> dict[str, str]:
     """Return the version of Python and of every installed distribution."""
-    # By the names of folders: importlib.metadata reads every file, which takes 0.1 s for 200 distributions.
-    folders = [path.stem for folder in sys.path for path in Path(folder).glob("*.dist-info")]
-    found = [stem.partition("-") for stem in folders]
-    named = {name.replace("_", "-"): version for name, _, version in reversed(found)}
-    return {"python": platform.python_version(), **dict(sorted(named.items(), key=lambda each: each[0].lower()))}
+    found = {each.name: each.version for each in reversed(list(metadata.distributions()))}  # the first on the path wins
+    return {"python": platform.python_version(), **dict(sorted(found.items(), key=lambda each: each[0].lower()))}
 
 
 def host() -> dict[str, Any]:
