@@ -60,14 +60,17 @@ def engine_places() -> list[EnginePlace]:
     return [EnginePlace(f"unix://{path}", "usual place") for path in sockets]
 
 
-def find_engine() -> EnginePlace:
+def find_engine(url: str = "") -> EnginePlace:
     """Return the first place where an engine answers. One that is reached by ssh or TLS is not asked.
+
+    Args:
+        url: The only place to look at; empty for those of ``engine_places``.
 
     Raises:
         MissingRequirementError: There is none; says where it was looked for, and how to start one.
     """
     refusals = []
-    for place in _there():
+    for place in [EnginePlace(url, "named")] if url else _there():
         try:
             _ask(place.url)
             return place

@@ -3,42 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from gem_core.registry import CommandSpec, EnvSpec, RequirementSpec, hookimpl
-
-_ENTRY = "gem_terminal:TerminalEnv"
-_TURNS = 50
 
 
 @hookimpl
 def gem_register_envs() -> Iterable[EnvSpec]:
     """The tasks that ship with the plugin, and any folder; a machine is never the same twice, so none is exact."""
-    yield _sample("terminal:Sample", "harbor", "Work in a terminal; tasks that ship with the plugin.")
-    name = "terminal:Sample-terminal-bench"
-    yield _sample(name, "terminal-bench", "The tasks of terminal:Sample in the format of Terminal-Bench.")
-    yield EnvSpec(
+    folder = EnvSpec(
         id="terminal:Folder",
-        entry_point=_ENTRY,
+        entry_point="gem_terminal:TerminalEnv",
         summary="Work in a terminal; tasks of Terminal-Bench or Harbor in a folder of yours (path=…).",
-        kwargs={"max_turns": _TURNS},
-        tags=("terminal", "text", "tools"),
-        requires=("docker",),
-        deterministic=False,
-        folder_markers=("task.toml", "task.yaml"),
-    )
-
-
-def _sample(name: str, form: str, summary: str) -> EnvSpec:
-    kwargs = {"path": f"gem_terminal:sample/{form}", "max_turns": _TURNS}
-    return EnvSpec(
-        id=name,
-        entry_point=_ENTRY,
-        kwargs=kwargs,
-        summary=summary,
+        kwargs={"max_turns": 50},
         tags=("terminal", "text", "tools"),
         requires=("docker",),
         deterministic=False,
     )
+    for name, form, summary in (
+        ("Sample", "harbor", "Work in a terminal; tasks that ship with the plugin."),
+        ("Sample-terminal-bench", "terminal-bench", "The tasks of terminal:Sample in the format of Terminal-Bench."),
+    ):
+        kwargs = {"path": f"gem_terminal:sample/{form}", **folder.kwargs}
+        yield replace(folder, id=f"terminal:{name}", kwargs=kwargs, summary=summary)
+    yield replace(folder, folder_markers=("task.toml", "task.yaml"))
 
 
 @hookimpl

@@ -42,7 +42,7 @@ def read_tasks(path: Paths, variables: GivenVariables = None) -> TaskSet:
     several = [path] if isinstance(path, str | Path) else list(path)
     given = _given(variables)
     found = find_tasks([_located(each) for each in several], variables=given)
-    asked = {name for task in found for name in task.variables}
+    asked = {name for task in found.tasks for name in task.variables}
     for name in given:
         if name not in asked and not found.broken:
             there = f"They ask for {', '.join(sorted(asked))[:500]}" if asked else "They ask for none"
@@ -68,7 +68,7 @@ def select_tasks(
     found = read_tasks(path, variables)
     for broken in found.broken:
         logger.warning("gem-terminal: the task %s is left out: %s", broken.name, broken.error)
-    tasks = list(found)
+    tasks = list(found.tasks)
     if names is not None:
         wanted, known = [names] if isinstance(names, str) else list(names), [task.name for task in tasks]
         for pattern in wanted:

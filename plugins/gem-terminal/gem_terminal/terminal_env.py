@@ -16,8 +16,7 @@ from gem_core.types import Concurrency, ResetResult, StepResult
 from gem_terminal import reporting
 from gem_terminal.acting import how_to_act, tool_schemas
 from gem_terminal.actions import Action, Bash, Finish, Keys, Malformed, read_action
-from gem_terminal.backends.choosing import shared_backend
-from gem_terminal.backends.interface import Backend, Limits
+from gem_terminal.backends.docker.backend import shared_backend
 from gem_terminal.episode import Episode
 from gem_terminal.errors import MachineError, MachineLostError
 from gem_terminal.pool import Holdings, shared_pool
@@ -27,6 +26,7 @@ from gem_terminal.verifying.solutions import SOLUTION_S, as_command
 from gem_terminal.verifying.verdict import RewardRule, goes_on, reward_of
 
 if TYPE_CHECKING:
+    from gem_terminal.backends.interface import Backend
     from gem_terminal.tasks.task import Task
     from gem_terminal.verifying.verify import Where
 
@@ -166,15 +166,21 @@ class TerminalEnv(Env):
             show_time=show_time,
             columns=columns,
             lines=lines,
+            cpus=cpus,
+            memory_mb=memory_mb,
+            processes=processes,
+            storage_mb=storage_mb,
+            network=network,
             verify_in=verify_in,
             artifacts=(artifacts,) if isinstance(artifacts, str) else tuple(artifacts),
             pool_size=pool_size,
-            limits=Limits(cpus, memory_mb, processes, storage_mb, network),
         )
         self.return_range = self.settings.return_range
         self.tasks = select_tasks(path, tasks, variables)
         self.num_tasks = len(self.tasks)
-        self.backend = shared_backend(backend, build_args)
+        if isinstance(backend, str) and backend != "docker":
+            raise ArgumentError(f"backend must be 'docker' or an object that makes machines, not {backend!r}")
+        self.backend: Backend = shared_backend(build_args) if isinstance(backend, str) else backend
         self._holdings = Holdings(self, shared_pool())
         self._episode: Episode | None = None
         self._index = 0
@@ -390,18 +396,13 @@ class TerminalEnv(Env):
 
     def _chosen(self, options: dict[str, Any]) -> int:
         wrong = [name for name in options if name not in ("task", "index")]
-        if wrong:
-            hint = did_you_mean(wrong[0], ["task", "index"])
-            raise ArgumentError(f"no option {wrong[0]!r}.{hint} There are: task, index")
-        if len(options) == 2:
-            raise ArgumentError("give one of the options task and index, not both")
-        if "task" in options:
-            return self._named(options["task"])
-        return chosen_index(options, self.num_tasks)
-
-    def _named(self, name: object) -> int:
-        names = [task.name for task in self.tasks]
+        if wrong or len(options) > 1:
+            hint = did_you_mean(wrong[0], ["task", "index"]) if wrong else ""
+            raise ArgumentError(f"options are {', '.join(options)}; expected one of task and index.{hint}")
+        if "index" in options:
+            return chosen_index(options, self.num_tasks)
+        name, names = options["task"], [task.name for task in self.tasks]
         if name not in names:
             hint = did_you_mean(str(name), names)
             raise ArgumentError(f"options['task']: there is no task {name!r} among {len(names)}.{hint}")
-        return names.index(str(name))
+        return names.index(name)

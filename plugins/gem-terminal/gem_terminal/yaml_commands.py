@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
-import yaml
+from gem_terminal.errors import TaskError
+from gem_terminal.tasks.parsing import parse
 
 MOST_YAML = 50_000
 """Characters that are read as YAML; its reader takes about a second for a megabyte."""
@@ -28,21 +29,12 @@ def read_yaml_command(content: str) -> tuple[str, Any] | str:
     if len(content) > MOST_YAML:
         return f"YAML in <bash> may have {MOST_YAML} characters. Write the command itself between <bash> and </bash>."
     try:
-        read = yaml.load(content, Loader=_Loader)  # a SafeLoader without aliases, which makes nothing but plain data
-    except (yaml.YAMLError, ValueError, RecursionError, OverflowError) as error:
-        problem = " ".join(str(getattr(error, "problem", None) or error).split())[:200]
-        return f"What stands in <bash> is no valid YAML: {problem}. Write the command itself, or\n{_FORM}"
+        read = parse("YAML", content)
+    except TaskError as error:
+        return f"The YAML in <bash> {error} Write the command itself, or\n{_FORM}"
     if not isinstance(read, dict) or not isinstance(read.get("cmd"), str):
         return f"YAML in <bash> must have the command as text under cmd, as in\n{_FORM}"
-    unknown = next((str(key) for key in read if key not in ("cmd", "timeout_secs")), None)
+    unknown = next((key for key in read if key not in ("cmd", "timeout_secs")), None)
     if unknown is not None:
         return f"YAML in <bash> has no {unknown[:50]!r}; there are cmd and timeout_secs, as in\n{_FORM}"
     return read["cmd"], read.get("timeout_secs")
-
-
-class _Loader(yaml.SafeLoader):
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        # An alias of an alias of an alias makes a billion values of a few lines.
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("aliases are not read")
-        return super().compose_node(parent, index)

@@ -1,9 +1,15 @@
-"""Task folders for tests: written from a mapping of paths to contents."""
+"""Task folders for tests: written from a mapping of paths to contents, and read."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gem_terminal.tasks.folders import find_tasks
+
+if TYPE_CHECKING:
+    from gem_terminal.tasks.task import Task
 
 TERMINAL_BENCH: Mapping[str, str] = {
     "task.yaml": "instruction: Write 5 to /app/five.txt.\ndifficulty: easy\n",
@@ -35,3 +41,9 @@ def write(folder: Path, *layers: Mapping[str, str | bytes | None]) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content.encode() if isinstance(content, str) else content)
     return folder
+
+
+def read_task(folder: Path, variables: Mapping[str, str] | None = None) -> Task:
+    """Read the one task of a folder."""
+    (task,) = find_tasks([folder], variables=variables).tasks
+    return task

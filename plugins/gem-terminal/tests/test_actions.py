@@ -13,12 +13,10 @@ from gem_core.types import Response
 from gem_terminal.acting import tool_schemas
 from gem_terminal.actions import Bash, Finish, Keys, Malformed, read_action
 
-HOW = "Write one command as <bash>command</bash>, keys as <keys>text<Enter></keys>, or <finish/> when you are done."
 QWEN = (
     "<tool_call>\n<function=bash>\n<parameter=command>\n{}\n</parameter>\n<parameter=timeout>9</parameter>\n"
     "</function>\n</tool_call>"
 )
-CALL = 'Write a call as <tool_call>{"name": "bash", "arguments": {"command": "ls -l"}}</tool_call>.'
 TERMINUS_JSON = """{
   "analysis": "I see {nothing}.", "plan": "Look.",
   "commands": [{"keystrokes": "cat <x\\n", "duration": 1.5}, {"keystrokes": "C-c"}],
@@ -185,68 +183,38 @@ def test_read_action_takes_native_calls_before_text() -> None:
 @pytest.mark.parametrize(
     ("response", "reason"),
     [
-        ("", f"The response is empty. {HOW}"),
-        ("I am not sure.", f"There is no action in the response. {HOW}"),
-        ("```python\nprint(1)\n```", f"There is no action in the response. {HOW}"),
-        ("```\nls\n```\nor\n```\npwd\n```", f"There is no action in the response. {HOW}"),
-        ('{"analysis": "x", "commands": []}', f"There is no action in the response. {HOW}"),
-        ("<shell>ls</shell>", f"There is no <shell>. {HOW}"),
-        (
-            "<think><bash>ls</bash></think>",
-            f"What stands in a thinking block is not executed. Write the action behind </think>. {HOW}",
-        ),
-        ("<bash>ls", "<bash> is never closed. Write </bash> at the end of it."),
-        ('{"name": "bash", "arguments": {"command": "ls', f"The call is no valid JSON, or is not complete. {HOW}"),
-        ("```bash\nls", "The fenced block is never closed. Write ``` on a line at its end."),
-        ("<bash> \n</bash>", "The command is empty. Write what the shell should run, as in <bash>ls -l</bash>."),
-        (
-            "I use <bash> now. <bash>ls</bash>",
-            "<bash> is opened twice before it is closed, so that it can be read in more than one way. Write one "
-            "<bash>…</bash>, and speak of the tag in quotation marks only.",
-        ),
-        (
-            "<bash time='3'>ls</bash>",
-            "<bash> has no attribute 'time'; there is timeout, as in <bash timeout=\"30\">make</bash>.",
-        ),
-        (
-            "<bash timeout='soon'>ls</bash>",
-            'timeout must be a number of seconds, as in <bash timeout="30">make</bash>.',
-        ),
-        ("<bash timeout='-1'>ls</bash>", 'timeout must be a number of seconds, as in <bash timeout="30">make</bash>.'),
-        ("<keys wait='x'>a</keys>", 'wait must be a number of seconds, as in <keys wait="5">:wq<Enter></keys>.'),
-        (
-            "<bash>cmd: [</bash>",
-            "What stands in <bash> is no valid YAML: expected the node content, but found '<stream end>'. Write the "
-            "command itself, or\ncmd: ls -l\ntimeout_secs: 10",
-        ),
-        (
-            "<bash>timeout_secs: 3</bash>",
-            "YAML in <bash> must have the command as text under cmd, as in\ncmd: ls -l\ntimeout_secs: 10",
-        ),
-        (
-            "<bash>cmd: ls\nblock: 1</bash>",
-            "YAML in <bash> has no 'block'; there are cmd and timeout_secs, as in\ncmd: ls -l\ntimeout_secs: 10",
-        ),
-        (
-            '<tool_call>{"name": "bsh", "arguments": {}}</tool_call>',
-            f"No tool 'bsh'. There are: bash, keys, finish. {CALL}",
-        ),
-        (
-            '<tool_call>{"name": "bash", "arguments": {"command": "ls", "cwd": "/"}}</tool_call>',
-            "bash has no argument 'cwd'; there are command and timeout.",
-        ),
-        (
-            '<tool_call>{"name": "bash"}</tool_call>',
-            'The command of bash must be text, as in {"name": "bash", "arguments": {"command": "ls"}}.',
-        ),
-        ('<tool_call>{"name": "bash"', f"<tool_call> is never closed by </tool_call>. {CALL}"),
+        ("", "is empty"),
+        ("I am not sure.", "no action"),
+        ("```python\nprint(1)\n```", "no action"),
+        ("```\nls\n```\nor\n```\npwd\n```", "no action"),
+        ('{"analysis": "x", "commands": []}', "no action"),
+        ("<shell>ls</shell>", "no <shell>"),
+        ("<think><bash>ls</bash></think>", "behind </think>"),
+        ("<bash>ls", "Write </bash>"),
+        ('{"name": "bash", "arguments": {"command": "ls', "no valid JSON"),
+        ("```bash\nls", "fenced block is never closed"),
+        ("<bash> \n</bash>", "command is empty"),
+        ("I use <bash> now. <bash>ls</bash>", "opened twice"),
+        ("<bash time='3'>ls</bash>", "no attribute 'time'"),
+        ("<bash timeout='soon'>ls</bash>", "number of seconds"),
+        ("<bash timeout='-1'>ls</bash>", "number of seconds"),
+        ("<keys wait='x'>a</keys>", "number of seconds"),
+        ("<bash>cmd: [</bash>", "no valid YAML"),
+        ("<bash>timeout_secs: 3</bash>", "under cmd"),
+        ("<bash>cmd: ls\nblock: 1</bash>", "no 'block'"),
+        ("<bash>cmd: " + "[" * 10_000 + "</bash>", "nested too deeply"),
+        ("<bash>cmd: &a [x]\n" + "b: [" + "*a, " * 600 + "]</bash>", "more than"),
+        ('<tool_call>{"name": "bsh", "arguments": {}}</tool_call>', "No tool 'bsh'"),
+        ('<tool_call>{"name": "bash", "arguments": {"command": "ls", "cwd": "/"}}</tool_call>', "no argument 'cwd'"),
+        ('<tool_call>{"name": "bash"}</tool_call>', "must be text"),
+        ('<tool_call>{"name": "bash"', "never closed by </tool_call>"),
     ],
 )
 def test_read_action_says_what_is_wrong(response: str, reason: str) -> None:
     """What cannot be read is answered with how to write it."""
     read = read_action(response)
     assert isinstance(read, Malformed), read
-    assert read.reason.replace(" Did you mean 'bash'?", "") == reason
+    assert reason in read.reason
 
 
 def test_read_action_does_not_pass_over_what_was_meant() -> None:
@@ -254,13 +222,6 @@ def test_read_action_does_not_pass_over_what_was_meant() -> None:
     read = read_action("<bash></bash> or <finish/>")
     assert isinstance(read, Malformed)
     assert read.text == "<bash></bash>"
-
-
-def test_read_action_refuses_yaml_bombs() -> None:
-    """Aliases, by which a few lines stand for a billion values, are not read."""
-    read = read_action("<bash>cmd: &a [x]\nb: [*a, *a]</bash>")
-    assert isinstance(read, Malformed)
-    assert "aliases are not read" in read.reason
 
 
 PIECES = [

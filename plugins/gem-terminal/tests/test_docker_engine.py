@@ -61,7 +61,7 @@ def engine_that_says(path: Path, answers: dict[str, tuple[int, Any]], asked: lis
 def test_an_engine_that_is_not_running_says_so(short_path: Path) -> None:
     """With its address."""
     url = f"unix://{short_path}/none.sock"
-    with pytest.raises(EngineError, match=r"none\.sock \(base_url\): it is not running there: start it"):
+    with pytest.raises(EngineError, match=r"none\.sock \(named\): it is not running there: start it"):
         _ = Engine(url).client
 
 

@@ -26,7 +26,7 @@ DATA = Path(gem_terminal.__file__).parent / "data" / "sample"
 @pytest.fixture(scope="module", params=["harbor", "terminal-bench"])
 def tasks(request: pytest.FixtureRequest) -> list[Task]:
     """Give the sample tasks in each format."""
-    return list(find_tasks(sample.sample_folder(request.param)))
+    return list(find_tasks([sample.sample_folder(request.param)]).tasks)
 
 
 def run_checks(folder: Path, checks: str, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -50,7 +50,7 @@ def test_there_are_tasks_of_every_kind(tasks: list[Task]):
 
 def test_both_formats_ask_the_same():
     """One instruction, time limits, checks, solution and image in both."""
-    formats = [find_tasks(sample.sample_folder(form)) for form in ("harbor", "terminal-bench")]
+    formats = [find_tasks([sample.sample_folder(form)]).tasks for form in ("harbor", "terminal-bench")]
     for one, other in zip(*formats, strict=True):
         assert (one.format, other.format) == ("harbor", "terminal-bench")
         assert one.steps[0].instruction == other.steps[0].instruction

@@ -10,7 +10,7 @@ import pytest
 from shell_machines import backend, has_bash, machine, shell  # noqa: F401 - fixtures
 
 from gem_terminal.backends.interface import Process
-from gem_terminal.shell.started import started_by_command
+from gem_terminal.shell.shell import started_by_command
 
 if TYPE_CHECKING:
     from gem_terminal.backends.interface import Machine

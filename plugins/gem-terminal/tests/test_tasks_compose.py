@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from task_writing import TERMINAL_BENCH, write
+from task_writing import TERMINAL_BENCH, read_task, write
 
 from gem_terminal.errors import TaskError
-from gem_terminal.tasks.folders import read_task
 from gem_terminal.tasks.task import Container, Environment, Healthcheck
 
 

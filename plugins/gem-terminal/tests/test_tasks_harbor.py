@@ -6,10 +6,9 @@ import os
 from pathlib import Path
 
 import pytest
-from task_writing import HARBOR, write
+from task_writing import HARBOR, read_task, write
 
 from gem_terminal.errors import TaskError
-from gem_terminal.tasks.folders import read_task
 from gem_terminal.tasks.task import Collect, Container, Environment, Healthcheck, Solution, Step, Task, Verifier
 
 FULL = """

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from task_writing import HARBOR, TERMINAL_BENCH, write
+from task_writing import HARBOR, TERMINAL_BENCH, read_task, write
 
 from gem_terminal.errors import TaskError
-from gem_terminal.tasks.folders import find_tasks, read_task
+from gem_terminal.tasks.folders import find_tasks
 from gem_terminal.tasks.reading import MOST_BYTES
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def test_a_task_that_is_a_link_is_no_task_of_the_folder(tmp_path: Path) -> None:
     write(tmp_path / "elsewhere/one", HARBOR)
     write(tmp_path / "set/two", HARBOR)
     (tmp_path / "set/one").symlink_to("../elsewhere/one")
-    assert find_tasks(tmp_path / "set").names == ("two",)
+    assert [task.name for task in find_tasks([tmp_path / "set"]).tasks] == ["two"]
     assert read_task(tmp_path / "set/one").folder == tmp_path / "elsewhere/one"
 
 

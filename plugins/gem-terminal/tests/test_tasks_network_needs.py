@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from task_writing import write
-
-from gem_terminal.tasks.folders import read_task
+from task_writing import read_task, write
 
 TAIL = ", it seems, and the task asks for none: network='public' gives it one, the agent included."
 

@@ -7,10 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from task_writing import TERMINAL_BENCH, write
+from task_writing import TERMINAL_BENCH, read_task, write
 
 from gem_terminal.errors import TaskError
-from gem_terminal.tasks.folders import read_task
 from gem_terminal.tasks.task import Container, Environment, Solution, Step, Verifier
 
 COMPOSE = """
@@ -161,11 +160,11 @@ def test_yaml_is_read_with_and_without_libyaml(tmp_path: Path, without: str) -> 
     bad = write(tmp_path / "bad", TERMINAL_BENCH, {"task.yaml": "a: " + "[" * 100})
     code = f"""import sys; {without}
 from gem_terminal.errors import TaskError
-from gem_terminal.tasks.folders import read_task
+from gem_terminal.tasks.folders import find_tasks
 from gem_terminal.tasks.parsing import Loader
-print(Loader.__base__.__name__, read_task({str(good)!r}).environment.main.env["TEST_DIR"])
+print(Loader.__base__.__name__, find_tasks([{str(good)!r}]).tasks[0].environment.main.env["TEST_DIR"])
 try:
-    read_task({str(bad)!r})
+    find_tasks([{str(bad)!r}])
 except TaskError as error:
     print(error)
 """

@@ -401,8 +401,8 @@ def test_seed_chooses_the_task_and_options_overrule_it(env: TerminalEnv) -> None
         ({"task": "twoo"}, "there is no task 'twoo' among 3. Did you mean 'two'?"),
         ({"index": 3}, r"options\['index'\] must be from 0 to 2, not 3"),
         ({"index": True}, "not True"),
-        ({"tusk": "one"}, "no option 'tusk'. Did you mean 'task'?"),
-        ({"task": "one", "index": 0}, "give one of the options task and index, not both"),
+        ({"tusk": "one"}, "Did you mean 'task'?"),
+        ({"task": "one", "index": 0}, "expected one of task and index"),
     ],
 )
 def test_wrong_options(env: TerminalEnv, options: dict[str, Any], words: str) -> None:
@@ -435,7 +435,7 @@ def test_wrong_options(env: TerminalEnv, options: dict[str, Any], words: str) ->
 )
 def test_wrong_values_are_refused(monkeypatch: pytest.MonkeyPatch, script: Script, name: str, value: Any) -> None:
     """At once, with what is allowed."""
-    with pytest.raises(ArgumentError, match=rf"^{name} must be .*, not "):
+    with pytest.raises(ArgumentError, match=rf"^{name} is "):
         make(monkeypatch, script, **{name: value})
 
 

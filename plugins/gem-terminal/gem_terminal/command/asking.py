@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from gem_core.registry import registry
-from gem_terminal.backends.choosing import shared_backend
+from gem_terminal.backends.docker.backend import shared_backend
 from gem_terminal.backends.interface import Limits
 from gem_terminal.errors import MachineError, TaskError
 
@@ -66,7 +66,7 @@ def chosen_backend(build_args: tuple[str, ...]) -> Backend:
     for name, equals, _ in pairs:
         if not equals or not name:
             raise click.UsageError(f"--build-arg takes NAME=VALUE, not {name!r}")
-    return shared_backend(build_args={name: value for name, _, value in pairs})
+    return shared_backend({name: value for name, _, value in pairs})
 
 
 def paths_of(where: tuple[str, ...]) -> list[str | Path]:

@@ -7,11 +7,26 @@ from typing import Any
 
 import click
 
+from gem_core.cli import Column, print_table
 from gem_terminal.command.asking import chosen_backend, chosen_limits, paths_of, shared_options, why_not
 from gem_terminal.errors import EngineError
 from gem_terminal.selecting import read_tasks
 
-_HEADERS = ("task", "format", "difficulty", "agent", "tests", "memory", "network", "here")
+
+def _with_unit(value: float | None, unit: str) -> str:
+    return "-" if value is None else f"{value:.15g} {unit}"
+
+
+_COLUMNS = (
+    Column("task", lambda row: row["name"], name=True),
+    Column("format", lambda row: row["format"], text=True),
+    Column("difficulty", lambda row: row["difficulty"] or "-", text=True),
+    Column("agent", lambda row: _with_unit(row["agent_s"], "s"), dispensable=0),
+    Column("tests", lambda row: _with_unit(row["tests_s"], "s"), dispensable=1),
+    Column("memory", lambda row: _with_unit(row["memory_mb"], "MB"), dispensable=2),
+    Column("network", lambda row: row["network"], text=True),
+    Column("here", lambda row: "no" if row["cannot_run"] else "yes", text=True),
+)
 
 
 @click.command(
@@ -41,7 +56,7 @@ def command(
         backend, missing = chosen_backend(build_args), ""
     except EngineError as error:
         backend, missing = None, str(error)
-    rows = [
+    rows: list[dict[str, Any]] = [
         {
             "name": task.name,
             "format": task.format,
@@ -62,20 +77,13 @@ def command(
             "shortfall": limits.shortfall(task, backend.resources()) if backend else [],
             "cannot_run": why_not(backend, task) if backend else missing,
         }
-        for task in found
+        for task in found.tasks
     ]
     broken = {each.name: str(each.error) for each in found.broken}
     if as_json:
         click.echo(json.dumps([*rows, *({"name": name, "broken": why} for name, why in broken.items())], indent=1))
         return
-    _print(rows, broken)
-
-
-def _print(rows: list[dict[str, Any]], broken: dict[str, str]) -> None:
-    lines = [_HEADERS, *(_cells(row) for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    for line in lines:
-        click.echo("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+    print_table(_COLUMNS, rows)
     reasons: dict[str, list[str]] = {}
     noted: dict[str, list[str]] = {}
     for row in rows:
@@ -93,20 +101,3 @@ def _print(rows: list[dict[str, Any]], broken: dict[str, str]) -> None:
 
 def _echo(what: str, why: str) -> None:
     click.echo(f"{what}: {' '.join(why.split())}")
-
-
-def _cells(row: dict[str, Any]) -> tuple[str, ...]:
-    return (
-        row["name"],
-        row["format"],
-        row["difficulty"] or "-",
-        _with_unit(row["agent_s"], "s"),
-        _with_unit(row["tests_s"], "s"),
-        _with_unit(row["memory_mb"], "MB"),
-        row["network"],
-        "no" if row["cannot_run"] else "yes",
-    )
-
-
-def _with_unit(value: float | None, unit: str) -> str:
-    return "-" if value is None else f"{value:.15g} {unit}"

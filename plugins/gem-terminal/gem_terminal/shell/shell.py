@@ -1,14 +1,13 @@
 """``Shell``: a persistent shell in a pseudo-terminal of a machine, for commands and for keys.
 
 A command is typed into a real interactive bash, so that its working directory, variables, functions, jobs and traps are
-those of one shell from turn to turn. How the shell tells that it is ready is in ``script.py``; what a command has
-started, for the end of its time, in ``started.py``.
+those of one shell from turn to turn. How the shell tells that it is ready is in ``script.py``.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from gem_terminal.errors import MachineError, MachineLostError
@@ -18,10 +17,9 @@ from gem_terminal.shell.results import CommandResult, ScreenResult
 from gem_terminal.shell.screen import Screen
 from gem_terminal.shell.script import Mark
 from gem_terminal.shell.session import READY_S, Session, ShellEndedError, open_session
-from gem_terminal.shell.started import started_by_command
 
 if TYPE_CHECKING:
-    from gem_terminal.backends.interface import Machine
+    from gem_terminal.backends.interface import Machine, Process
 
 _QUIET_S = 0.25
 """A screen that has not changed for so long is at rest."""
@@ -29,6 +27,9 @@ _QUIET_S = 0.25
 _INTERRUPTED_S = 0.3
 _KILLING_S = 10.0
 _DYING_S = 1.0
+_TICKS = 100
+"""Clock ticks of a second in ``/proc``, on every architecture of today."""
+
 _WAITING = (
     "A program that was started with keys holds the terminal, so the command was not run. Leave the program first, as "
     "with <keys>q</keys>, <keys><C-c></keys> or <keys><C-d></keys>; look at it with <keys></keys>."
@@ -324,3 +325,33 @@ class Shell:
             if why is not None:
                 raise why from None
         self.close()
+
+
+def started_by_command(
+    processes: Sequence[Process], uptime_s: float, ours: set[int], background: int = 0
+) -> list[Process]:
+    """Return the processes that a command has started, also those in sessions of their own.
+
+    Those are the ones that are younger than the command, unless they come from a process that is older, the shell
+    apart: an earlier background job may start what it likes. A process whose parent has ended belongs to the first one,
+    and is the command's when it is younger.
+
+    Args:
+        processes: All there are.
+        uptime_s: Seconds since the start of the machine when the command began, as its shell read them.
+        ours: Numbers of the shell and of the process that started it.
+        background: Number of the last process that was put in the background before; 0 for none.
+    """
+    by_number = {process.pid: process for process in processes}
+    since = round(uptime_s * _TICKS)
+
+    def is_started(process: Process) -> bool:
+        while process.started >= since and process.pid not in ours and process.pid != background:
+            if process.parent == 0:
+                return False  # put there from outside, as a verifier is
+            if process.parent in (1, *ours) or process.parent not in by_number:
+                return True
+            process = by_number[process.parent]
+        return False
+
+    return [process for process in processes if is_started(process)]

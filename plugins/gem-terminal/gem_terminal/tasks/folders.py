@@ -5,13 +5,11 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from gem_core.errors import UnknownNameError
-from gem_core.suggestions import did_you_mean
 from gem_terminal.errors import TaskError
 from gem_terminal.tasks import harbor, terminal_bench
 from gem_terminal.tasks.reading import TaskFolder
@@ -30,8 +28,7 @@ _INSTALLS = re.compile(
 _OFFLINE = ("--no-index", "--offline", "--find-links")
 
 
-@dataclass(frozen=True)
-class BrokenTask:
+class BrokenTask(NamedTuple):
     """A task folder that cannot be read, and why."""
 
     name: str
@@ -39,66 +36,28 @@ class BrokenTask:
     error: TaskError
 
 
-@dataclass(frozen=True)
-class TaskSet:
+class TaskSet(NamedTuple):
     """Tasks in a fixed order, whose names differ, and folders that could not be read."""
 
     tasks: tuple[Task, ...]
     broken: tuple[BrokenTask, ...] = ()
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the tasks, in order."""
-        return tuple(task.name for task in self.tasks)
 
-    def __getitem__(self, name: str) -> Task:
-        """Return the task of a name.
-
-        Raises:
-            TaskError: The task of this name cannot be read.
-            UnknownNameError: No task has this name; the message gives the nearest ones.
-        """
-        tasks, errors = {task.name: task for task in self.tasks}, {each.name: each.error for each in self.broken}
-        if name in errors:
-            raise TaskError(str(errors[name])) from errors[name]
-        if name not in tasks:
-            raise UnknownNameError(f"no task {name[:200]!r} among {len(self)}.{did_you_mean(name, self.names)}")
-        return tasks[name]
-
-    def __len__(self) -> int:
-        return len(self.tasks)
-
-    def __iter__(self) -> Iterator[Task]:
-        return iter(self.tasks)
-
-
-def read_task(folder: str | os.PathLike[str], *, variables: Mapping[str, str] | None = None) -> Task:
-    """Read one task folder, in whichever format it is.
-
-    Args:
-        folder: The folder, with a ``task.toml`` or a ``task.yaml``.
-        variables: Values for variables that the task names; the environment of this process is never read.
-
-    Raises:
-        TaskError: It cannot be read, or is no task folder.
-    """
-    path = _folder(folder)
-    return _read(path, path.name, variables or {})
-
-
-def find_tasks(
-    paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, variables: Mapping[str, str] | None = None
-) -> TaskSet:
-    """Read the tasks of a folder, or of a list of folders.
+def find_tasks(paths: Iterable[str | os.PathLike[str]], *, variables: Mapping[str, str] | None = None) -> TaskSet:
+    """Read the tasks of folders.
 
     A path is a task folder, or a folder of them, or has such a folder in it, as ``tasks/NAME``; hidden folders and
     links are passed over. The order is that of the list, and of names within a folder. A folder that is there twice
     counts once. Among several, one that cannot be read is kept in ``TaskSet.broken``.
 
+    Args:
+        paths: The folders.
+        variables: Values for variables that tasks name; the environment of this process is never read.
+
     Raises:
         TaskError: A path is missing or has no tasks; no task can be read; or the only one cannot.
     """
-    listed = [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
+    listed = list(paths)
     if not listed:
         raise TaskError(f"no path of a task is given; {_EXPECTED}, or a list of them.")
     found: dict[Path, Path] = {}  # folders of tasks by themselves, each with the folder of its set
@@ -169,8 +128,6 @@ def _names(found: Mapping[Path, Path]) -> dict[Path, str]:
 
 
 def _read(path: Path, name: str, variables: Mapping[str, str]) -> Task:
-    if not _is_task(path):
-        raise TaskError(f"{path}: is no task folder; expected {_FILES} in it.")
     folder = TaskFolder(path, variables)
     if folder.has_file(harbor.FILE) and folder.has_file(terminal_bench.FILE):
         folder.note(f"{terminal_bench.FILE}: has no effect beside {harbor.FILE}.")

@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING
 
 import docker.errors
 
-from gem_terminal.backends.docker.containers import network_of
 from gem_terminal.backends.docker.engine import FAILURES, Engine
 from gem_terminal.backends.docker.images import Images
 from gem_terminal.backends.docker.machine import DockerMachine
-from gem_terminal.backends.docker.starting import start
+from gem_terminal.backends.docker.starting import network_of, start
 from gem_terminal.backends.docker.sweeping import OWNER, Thing, owner, sweep
 from gem_terminal.errors import EngineError, MachineError, MachineLostError, TaskError
 
@@ -32,6 +31,8 @@ _LOOK_S, _MOST_LOOK_S = 2.0, 15.0
 long, it is five times as long until the next."""
 
 _all: weakref.WeakSet[DockerBackend] = weakref.WeakSet()
+_shared: dict[tuple[tuple[str, str], ...], DockerBackend] = {}
+_sharing = threading.Lock()
 
 
 class DockerBackend:
@@ -167,6 +168,30 @@ class DockerBackend:
                         words = f"the machine wrote {written_mb:.0f} MB, more than its {limit_mb:g}"
                         machine.end(MachineLostError(words, by_agent=True))
             took_s = time.monotonic() - began
+
+
+def shared_backend(build_args: Mapping[str, str] | None = None) -> DockerBackend:
+    """Return the backend that all environments of this process share whose images get the same arguments.
+
+    Raises:
+        EngineError: No engine answers; says how to start one.
+    """
+    key = tuple(sorted((build_args or {}).items()))
+    with _sharing:
+        if key not in _shared:
+            backend = DockerBackend(build_args=build_args)
+            _ = backend.engine.client  # it connects, or says what is missing
+            _shared[key] = backend
+        return _shared[key]
+
+
+def _after_fork() -> None:
+    # Connections and machines are the parent's.
+    global _sharing, _shared
+    _sharing, _shared = threading.Lock(), {}
+
+
+os.register_at_fork(after_in_child=_after_fork)
 
 
 @atexit.register

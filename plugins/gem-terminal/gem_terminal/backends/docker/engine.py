@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import socket
 import threading
 from collections.abc import Iterator
 from math import inf
@@ -134,7 +133,7 @@ class Engine:
     def _connect(self) -> Client:
         """Connect to the engine that the user names, else to the first that answers."""
         try:
-            self._place = EnginePlace(self._base_url, "base_url") if self._base_url else find_engine()
+            self._place = find_engine(self._base_url or "")
         except MissingRequirementError as error:
             raise EngineError(str(error)) from error
         try:
@@ -152,11 +151,6 @@ class Engine:
             context = docker.context.ContextAPI.get_context(place.context)
             options = {"tls": (context and context.TLSConfig) or False}
         options = {"base_url": place.url, **options}
-        if place.url.startswith("unix://"):
-            # Docker's client leaves its socket open where nobody listens (docker 7.2, unixconn.py).
-            with socket.socket(socket.AF_UNIX) as probe:
-                probe.settimeout(10)
-                probe.connect(place.url.removeprefix("unix://"))
         client = Client(version=OLDEST_API, timeout=10, max_pool_size=64, **options)
         # Proxies and .netrc have no say on a local socket, and looking for them takes longer than the question.
         client.trust_env = not place.url.startswith("unix:")

@@ -13,10 +13,10 @@ from typing import IO, TYPE_CHECKING, Any, BinaryIO, Self
 import docker.errors
 
 from gem_terminal.backends.docker import files as moving
-from gem_terminal.backends.docker.containers import KEEPER
 from gem_terminal.backends.docker.engine import FAILURES, Client, Engine, is_full
 from gem_terminal.backends.docker.processes import LIST, came_from, kill_command, read_list
 from gem_terminal.backends.docker.running import DockerTerminal, Program, follow
+from gem_terminal.backends.docker.starting import KEEPER
 from gem_terminal.backends.docker.sweeping import Thing, remove
 from gem_terminal.backends.interface import Completed, Process
 from gem_terminal.errors import EngineError, MachineError, MachineLostError
