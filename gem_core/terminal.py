@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import sys
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -60,36 +61,27 @@ class Terminal:
             if hasattr(stream, "reconfigure"):
                 stream.reconfigure(errors=errors)  # bytes that are no text are shown, and do not raise
 
-    @property
-    def columns(self) -> int | None:
-        """Width for running text; None if there is no terminal."""
+    def _wrapped(self, text: str) -> str:
+        """Return text with long lines broken between words, in a terminal; indented lines stay."""
         if not self.drawn:
-            return None
-        try:
-            columns = os.get_terminal_size((sys.stderr if self._err else sys.stdout).fileno()).columns
-        except OSError:
-            columns = 0
-        # Some terminals say that they have no width at all.
-        return min(columns or _MOST_COLUMNS, _MOST_COLUMNS)
-
-    def show(self, text: str = "", **style: Any) -> None:
-        """Write text of our own and a line break; in a terminal, long lines are broken between words."""
-        columns = self.columns
-        if columns is not None and "\x1b" not in text:
-            lines = (textwrap.wrap(line, columns, break_on_hyphens=False) or [""] for line in text.split("\n"))
-            text = "\n".join(piece for pieces in lines for piece in pieces)
-        self._echo(text, **style)
+            return text
+        width = min(shutil.get_terminal_size((_MOST_COLUMNS, 24)).columns, _MOST_COLUMNS)
+        lines = []
+        for line in text.split("\n"):
+            fits = len(line) <= width or line[:1].isspace()
+            lines += [line] if fits else textwrap.wrap(line, width, break_on_hyphens=False)
+        return "\n".join(lines)
 
     def _echo(self, text: str, **style: Any) -> None:
         click.echo(click.style(text, **style) if style else text, err=self._err, color=self.colours)
 
+    def show(self, text: str = "", **style: Any) -> None:
+        """Write text of our own and a line break; in a terminal, long lines are broken between words."""
+        self._echo(self._wrapped(text), **style)
+
     def show_plainly(self, text: str) -> None:
         """Write text of an environment with control characters made visible; long lines are broken between words."""
-        columns = self.columns
-        for line in text.split("\n"):
-            fits = columns is None or len(line) <= columns or line[:1].isspace()
-            for piece in [line] if fits else textwrap.wrap(line, columns or 0, break_on_hyphens=False):
-                self._echo(printable(piece))
+        self._echo(self._wrapped(printable(text)))
 
     def show_drawing(self, text: str) -> None:
         """Write an environment's drawing, in colours if the terminal shows colours."""
@@ -107,8 +99,8 @@ class Terminal:
     def ask(self, prompt: str) -> Typed:
         r'''Return the next answer or command.
 
-        An answer goes on in the next line after a backslash at the end of a line. ``"""`` begins a block, in which
-        nothing is a command. A lone ``?`` and what begins with ``!`` are commands; ``!!`` begins an answer with ``!``.
+        ``"""`` begins a block of lines, in which nothing is a command. A lone ``?`` and what begins with ``!`` are
+        commands; ``!!`` begins an answer with ``!``.
 
         Raises:
             EndOfInput: There is nothing more.
@@ -123,7 +115,7 @@ class Terminal:
             if words.startswith("!") and not words.startswith("!!"):
                 return Typed(words[1:].strip(), True)
             if words:
-                return Typed(self._continued(words[1:] if words.startswith("!!") else line.rstrip()))
+                return Typed(words[1:] if words.startswith("!!") else line.rstrip())
             if self.interactive:
                 self.show(f"Type an answer, or ? for help. {BLOCK * 2} is the empty answer.", dim=True)
 
@@ -174,16 +166,6 @@ class Terminal:
     def _coloured(self, prompt: str) -> str:
         # \001 and \002 tell readline that what stands between them takes no room.
         return f"\001\x1b[1;36m\002{prompt}\001\x1b[0m\002" if self.colours else prompt
-
-    def _continued(self, line: str) -> str:
-        lines = [line]
-        while (len(lines[-1]) - len(lines[-1].rstrip("\\"))) % 2:
-            lines[-1] = lines[-1][:-1]
-            try:
-                lines.append(self.line("... "))
-            except EndOfInput:
-                break
-        return "\n".join(lines)
 
     def _block(self, first: str) -> str:
         if first.rstrip().endswith(BLOCK):

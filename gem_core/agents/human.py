@@ -11,7 +11,7 @@ from gem_core.types import Observation
 _HELP = """\
   ?         this help                              !random   play a random valid action
   !quit     end the run, as Ctrl-D does            !!text    is no command but the answer '!text'
-  A backslash at the end of a line goes on in the next; \"\"\" begins and ends a block of lines.
+  \"\"\" begins and ends an answer of several lines.
   'gem play' also takes turns back, and draws the board."""
 
 

@@ -82,7 +82,7 @@ def command(
     Answers:
       25           is sent as \boxed{25} if the environment expects a box, and likewise in a tag or a fenced
                    block. An answer in that form, a tool call, and all with --raw are sent unchanged.
-      two lines    End a line with a backslash, or write a block between two lines of triple quotes.
+      two lines    Write them between two lines of triple quotes.
       (nothing)    An empty line is ignored. Six quotes in a row are the empty answer.
       a typo       If the environment cannot read an answer, you answer again. With --raw it counts.
 

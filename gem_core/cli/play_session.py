@@ -40,7 +40,7 @@ _KEYS = f"""\
   !next      leave it, begin the next
   !quit      end, as Ctrl-D does
   Commands may be cut short, as in !u. An answer that begins with ! is typed with two.
-  A line that ends in a backslash goes on in the next; {BLOCK} begins and ends a block of lines."""
+  {BLOCK} begins and ends an answer of several lines."""
 
 
 class _PlayAgain(Exception):
