@@ -21,7 +21,7 @@ _NAME = re.compile(r"[\w.-]{1,100}", re.ASCII)
 
 
 @dataclass(frozen=True)
-class GradedEpisode:
+class Grade:
     """What a grader said of an episode, once.
 
     Args:
@@ -33,9 +33,9 @@ class GradedEpisode:
         note: What it said besides, as the reason of a judge, or where a replay differs from the record.
     """
 
-    episode: int
-    repeat: int
-    value: float | None
+    episode: int = 0
+    repeat: int = 0
+    value: float | None = None
     metrics: Mapping[str, float] = field(default_factory=dict)
     error: str | None = None
     note: str | None = None
@@ -70,7 +70,7 @@ class ScoreFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.grader: dict[str, Any] | None = None
-        self.graded: dict[tuple[int, int], GradedEpisode] = {}
+        self.graded: dict[tuple[int, int], Grade] = {}
         self._file: BinaryIO | None = None
         self._whole = 0
         """Bytes of the file without a line that was torn."""
@@ -138,33 +138,34 @@ class ScoreFile:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("ab", buffering=0)
             self._file.truncate(self._whole)
-            if self.grader is None:
-                self._write({"grader": told})
         except OSError as error:
             raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
+        if self.grader is None:
+            self._write({"grader": told})
         self.grader = told
 
-    def add(self, graded: GradedEpisode) -> None:
+    def add(self, graded: Grade) -> None:
         """Append a line.
 
         Raises:
             EpisodeFileError: It cannot be written.
         """
-        try:
-            self._write(asdict(graded))
-        except OSError as error:
-            raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
+        self._write(asdict(graded))
         self.graded[graded.episode, graded.repeat] = graded
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; what is added later is not written."""
         if self._file is not None:
             self._file.close()
+            self._file = None
 
     def _write(self, record: Mapping[str, Any]) -> None:
         if self._file is not None:
-            # One system call, which Ctrl-C cannot cut in two.
-            self._file.write(json.dumps(to_plain(record), ensure_ascii=True).encode("ascii") + b"\n")
+            try:
+                # One system call, which Ctrl-C cannot cut in two.
+                self._file.write(json.dumps(to_plain(record), ensure_ascii=True).encode("ascii") + b"\n")
+            except OSError as error:
+                raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
 
     def _read(self) -> None:
         if not self.path.exists():
@@ -178,7 +179,7 @@ class ScoreFile:
                 if isinstance(record, dict) and "grader" in record:
                     self.grader = record["grader"]
                 else:
-                    graded = GradedEpisode.from_dict(record)
+                    graded = Grade.from_dict(record)
                     self.graded[graded.episode, graded.repeat] = graded
             except (ValueError, RecursionError, EpisodeFileError) as error:
                 raise EpisodeFileError(

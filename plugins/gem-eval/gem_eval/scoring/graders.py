@@ -7,7 +7,7 @@ import inspect
 import math
 import re
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,10 @@ from gem_core import Episode
 from gem_core.errors import ArgumentError, GemError, GradingError
 from gem_core.records import to_plain
 from gem_core.registry import load_entry_point
-from gem_core.rollouts import Agent, close_agent, current_folder_importable, load_agent, prepare_agent
+from gem_core.rollouts import Agent, current_folder_importable, load_agent
 from gem_eval.replaying.recorded import differences
 from gem_eval.replaying.replay import repeat_all
+from gem_eval.scoring.file import Grade
 from gem_eval.scoring.judge import RUBRIC, SYSTEM, model_judge
 from gem_eval.turns import error_text
 
@@ -32,105 +33,55 @@ _ENV = "env"
 
 
 @dataclass(frozen=True)
-class Grade:
-    """What a grader said of an episode.
-
-    Args:
-        value: The score; a verdict is 0 or 1. None where it cannot tell, or failed.
-        metrics: All that it returned, where it returned several.
-        error: Why it failed.
-        note: What it said besides.
-    """
-
-    value: float | None = None
-    metrics: Mapping[str, float] = field(default_factory=dict)
-    error: str | None = None
-    note: str | None = None
-
-
 class Grader:
-    """Calls a function for each episode.
+    """What grades episodes.
 
     Args:
         name: What its scores are called by default.
-        function: Called with an episode; plain or a coroutine function.
         described: What it is, for the file of scores: others of that name are told apart by it.
-        agent: A model that it asks, to be prepared and closed.
+        function: Called with an episode, plain or a coroutine function; None for the episode's environment.
+        kwargs: Keyword arguments of environments that records lack.
+        agent: A model that the function asks, to be prepared and closed.
     """
 
-    def __init__(
-        self, name: str, function: Callable[[Episode], Any], described: Mapping[str, Any], agent: Agent | None = None
-    ) -> None:
-        self.name, self.described = name, described
-        self._function, self._agent = function, agent
-        self.asynchronous = inspect.iscoroutinefunction(function) or inspect.iscoroutinefunction(
-            getattr(function, "__call__", None)  # noqa: B004 - inspected, not called
-        )
+    name: str
+    described: Mapping[str, Any]
+    function: Callable[[Episode], Any] | None = None
+    kwargs: Mapping[str, Any] = field(default_factory=dict)
+    agent: Agent | None = None
 
-    def prepare(self) -> None:
-        """Raise what would fail for every episode."""
-        if self._agent is not None:
-            prepare_agent(self._agent)
-
-    def close(self) -> None:
-        """Close the model that it asks."""
-        if self._agent is not None:
-            close_agent(self._agent)
+    @property
+    def asynchronous(self) -> bool:
+        """Whether the function is a coroutine function."""
+        called = getattr(self.function, "__call__", None)  # noqa: B004 - inspected, not called
+        return inspect.iscoroutinefunction(self.function) or inspect.iscoroutinefunction(called)
 
     def grades(self, episodes: Sequence[Episode]) -> Iterator[tuple[int, Grade]]:
-        """Yield the grade of each episode with its place; a plain function's only."""
+        """Yield the grades of episodes with their places, in any order, by a plain function or their environments.
+
+        An environment is made from the record, and the episode is replayed in it. The value is success, or the return
+        if its task does not tell.
+        """
+        if self.function is None:
+            for place, replayed in repeat_all(episodes, self.kwargs):
+                yield place, _replayed_grade(episodes[place], replayed)
+            return
         for place, episode in enumerate(episodes):
             try:
-                graded = as_grade(self._function(episode))
+                grade = as_grade(self.function(episode))
             except Exception as error:  # noqa: BLE001 - third-party code may raise anything
-                graded = Grade(error=_told(error))
-            yield place, graded
+                grade = Grade(error=_told(error))
+            yield place, grade
 
     async def grade_async(self, episode: Episode) -> Grade:
-        """Return the grade of an episode, of a coroutine function."""
+        """Return the grade of an episode by a coroutine function; a judge returns its reason as well."""
+        function: Any = self.function
         try:
-            returned: Any = self._function(episode)
-            verdict = await returned
-            note = None
-            if isinstance(verdict, tuple):  # of a judge, with its reason
-                verdict, note = verdict
-            graded = as_grade(verdict)
-            return Grade(graded.value, graded.metrics, None, note)
+            verdict = await function(episode)
+            verdict, note = verdict if isinstance(verdict, tuple) else (verdict, None)
+            return replace(as_grade(verdict), note=note)
         except Exception as error:  # noqa: BLE001 - third-party code may raise anything
             return Grade(error=_told(error))
-
-
-class EnvGrader(Grader):
-    """The environment's own grading: each episode is replayed in an environment made from its record.
-
-    The value is success, or the return where a task does not tell.
-
-    Args:
-        kwargs: Keyword arguments of the environments that the records lack.
-    """
-
-    def __init__(self, kwargs: Mapping[str, Any] | None = None) -> None:
-        self._kwargs = dict(kwargs or {})
-        super().__init__(_ENV, lambda episode: None, {"grader": _ENV, "kwargs": self._kwargs})
-
-    def grades(self, episodes: Sequence[Episode]) -> Iterator[tuple[int, Grade]]:
-        """Yield the grade of each episode with its place, in any order."""
-        for place, replayed in repeat_all(episodes, self._kwargs):
-            if isinstance(replayed, GemError):
-                yield place, Grade(error=_told(replayed))
-            elif replayed.error is not None:
-                yield place, Grade(error=error_text(replayed.error))
-            else:
-                yield place, _replayed_grade(episodes[place], replayed)
-
-
-def _replayed_grade(recorded: Episode, replayed: Episode) -> Grade:
-    found = differences(recorded, replayed, recorded.turns)
-    metrics = {"return": replayed.episode_return}
-    if replayed.success is not None:
-        metrics = {"success": float(replayed.success), **metrics}
-    value = next(iter(metrics.values()))
-    return Grade(value, metrics, None, f"not as recorded: {found[0]}" if found else None)
 
 
 def find_grader(
@@ -158,20 +109,20 @@ def find_grader(
     if grader != _ENV and kwargs:
         raise ArgumentError(f"arguments of the environment are for --grader env, not {grader!r}")
     if grader == _ENV:
-        return EnvGrader(kwargs)
+        return Grader(_ENV, {"grader": _ENV, "kwargs": dict(kwargs or {})}, kwargs=dict(kwargs or {}))
     if not isinstance(grader, str):
         name = getattr(grader, "__name__", type(grader).__name__)
-        return Grader(_file_name(name), grader, {"grader": name, "code": _code_hash(grader)})
+        return Grader(_file_name(name), {"grader": name, "code": _code_hash(grader)}, grader)
     if is_model:
         agent = load_agent(grader, system=SYSTEM, **(options or {}))
         text = RUBRIC if rubric is None else rubric
         told = {"grader": grader, "rubric": text, "system": SYSTEM, "options": to_plain(dict(options or {}))}
-        return Grader(_file_name(grader), model_judge(agent, text), told, agent)
+        return Grader(_file_name(grader), told, model_judge(agent, text), agent=agent)
     if ":" not in grader:
         raise ArgumentError(f"no grader {grader!r}: give 'module:function', 'env' or 'openai:MODEL'")
     with current_folder_importable():
         function = load_entry_point(grader, "grader")
-    return Grader(_file_name(grader), function, {"grader": grader, "code": _code_hash(function)})
+    return Grader(_file_name(grader), {"grader": grader, "code": _code_hash(function)}, function)
 
 
 def as_grade(returned: Any) -> Grade:
@@ -182,12 +133,25 @@ def as_grade(returned: Any) -> Grade:
     """
     if returned is None:
         return Grade()
-    if isinstance(returned, Mapping):
-        metrics = {str(name): _number(value) for name, value in returned.items()}
-        if not metrics:
-            raise GradingError("the grader returned no metrics; return None where it cannot tell")
-        return Grade(next(iter(metrics.values())), metrics)
-    return Grade(_number(returned))
+    if not isinstance(returned, Mapping):
+        return Grade(value=_number(returned))
+    metrics = {str(name): _number(value) for name, value in returned.items()}
+    if not metrics:
+        raise GradingError("the grader returned no metrics; return None where it cannot tell")
+    return Grade(value=next(iter(metrics.values())), metrics=metrics)
+
+
+def _replayed_grade(recorded: Episode, replayed: Episode | GemError) -> Grade:
+    if isinstance(replayed, GemError):
+        return Grade(error=_told(replayed))
+    if replayed.error is not None:
+        return Grade(error=error_text(replayed.error))
+    found = differences(recorded, replayed, recorded.turns)
+    metrics = {"return": replayed.episode_return}
+    if replayed.success is not None:
+        metrics = {"success": float(replayed.success), **metrics}
+    note = f"not as recorded: {found[0]}" if found else None
+    return Grade(value=next(iter(metrics.values())), metrics=metrics, note=note)
 
 
 def _number(value: Any) -> float:

@@ -5,18 +5,19 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from gem_core import Episode
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_core.rollouts import close_agent, prepare_agent
 from gem_eval.opening import opened, refuse_seats, require_episodes
 from gem_eval.records import Row, Run
-from gem_eval.scoring.file import GradedEpisode, ScoreFile
-from gem_eval.scoring.graders import Grade, GradeFunction, Grader, find_grader
+from gem_eval.scoring.file import Grade, ScoreFile
+from gem_eval.scoring.graders import GradeFunction, Grader, find_grader
 from gem_eval.statistics import Agreement, Estimate, agreement, mean, rate
 
 DEFAULT_CONCURRENCY = 64
@@ -27,8 +28,7 @@ Asked = tuple[Row, int]
 """An episode, and which time it is graded."""
 
 
-@dataclass(frozen=True)
-class Changed:
+class Changed(NamedTuple):
     """An episode whose verdict is another than the one of the run.
 
     Args:
@@ -85,19 +85,19 @@ class Rescored:
     run: Run
     name: str
     path: Path
-    graded: Mapping[tuple[int, int], GradedEpisode]
+    graded: Mapping[tuple[int, int], Grade]
     tasks: list[TaskScore]
     changed: list[Changed]
     agreement: Agreement | None
     not_graded: int
 
     @property
-    def errors(self) -> list[GradedEpisode]:
+    def errors(self) -> list[Grade]:
         """Where the grader failed."""
         return [each for each in self.graded.values() if each.error is not None]
 
     @property
-    def notes(self) -> list[GradedEpisode]:
+    def notes(self) -> list[Grade]:
         """Where it said something besides."""
         return [each for each in self.graded.values() if each.note is not None]
 
@@ -146,28 +146,37 @@ def score(
     found = find_grader(grader, rubric=rubric, kwargs=kwargs, options=options)
     file = ScoreFile.new_or_begun(run, name or found.name)
     try:
-        found.prepare()
+        if found.agent is not None:
+            prepare_agent(found.agent)  # raises what would fail for every episode
         file.begin(found.described, overwrite=overwrite)
         todo = [
             (row, time)
             for row in run.rows
             for time in range(repeat)
-            if row.error is None and _is_due(file.graded.get((row.number, time)))
+            if row.error is None and ((there := file.graded.get((row.number, time))) is None or there.error is not None)
         ]
-        for done, (row, time, grade) in enumerate(_grades(run, found, todo, max_concurrency), start=1):
-            file.add(GradedEpisode(row.number, time, grade.value, grade.metrics, grade.error, grade.note))
+        done = itertools.count(1)
+
+        def keep(asked: Asked, grade: Grade) -> None:
+            file.add(replace(grade, episode=asked[0].number, repeat=asked[1]))
             if on_graded is not None:
-                on_graded(done, len(todo))
+                on_graded(next(done), len(todo))
+
+        if found.asynchronous:
+            run_sync(_grade_together(run, found, todo, max_concurrency or DEFAULT_CONCURRENCY, keep))
+        else:
+            _grade_in_turn(run, found, todo, keep)
     finally:
         file.close()
-        found.close()
+        if found.agent is not None:
+            close_agent(found.agent)
     return rescored(run, name or found.name, file)
 
 
 def rescored(run: Run, name: str, file: ScoreFile) -> Rescored:
     """Return the scores that a file holds."""
     rows = [row for row in run.rows if row.error is None]
-    of_row: dict[int, list[GradedEpisode]] = {}
+    of_row: dict[int, list[Grade]] = {}
     for each in file.graded.values():
         of_row.setdefault(each.episode, []).append(each)
     verdicts = {row.number: _verdict(of_row.get(row.number, [])) for row in rows}
@@ -193,66 +202,43 @@ def rescored(run: Run, name: str, file: ScoreFile) -> Rescored:
     )
 
 
-def _is_due(graded: GradedEpisode | None) -> bool:
-    return graded is None or graded.error is not None
-
-
-def _grades(
-    run: Run, grader: Grader, todo: Sequence[Asked], max_concurrency: int | None
-) -> Iterator[tuple[Row, int, Grade]]:
-    """Yield the grades of episodes as they come."""
-    if grader.asynchronous:
-        yield from _grades_together(run, grader, todo, max_concurrency or DEFAULT_CONCURRENCY)
-        return
+def _grade_in_turn(run: Run, grader: Grader, todo: Sequence[Asked], keep: Callable[[Asked, Grade], None]) -> None:
     for first in range(0, len(todo), _AT_ONCE):
         asked: list[Asked] = []
         episodes: list[Episode] = []
-        for row, time in todo[first : first + _AT_ONCE]:
+        for each in todo[first : first + _AT_ONCE]:
             try:
-                episodes.append(run.episode(row))
-                asked.append((row, time))
+                episodes.append(run.episode(each[0]))
+                asked.append(each)
             except EpisodeFileError as error:
-                yield row, time, Grade(error=str(error))
+                keep(each, Grade(error=str(error)))
         for place, grade in grader.grades(episodes):
-            yield *asked[place], grade
+            keep(asked[place], grade)
 
 
-def _grades_together(
-    run: Run, grader: Grader, todo: Sequence[Asked], max_concurrency: int
-) -> Iterator[tuple[Row, int, Grade]]:
-    """Yield the grades of a coroutine function, asked for several episodes at once, in order of completion."""
-    waiting = iter(todo)
-    open_tasks: dict[asyncio.Future[Grade], Asked] = {}
+async def _grade_together(
+    run: Run, grader: Grader, todo: Sequence[Asked], max_concurrency: int, keep: Callable[[Asked, Grade], None]
+) -> None:
+    """Ask a coroutine function for several episodes at once; grades are kept in order of completion."""
+    room = asyncio.Semaphore(max_concurrency)
 
-    async def graded(row: Row) -> Grade:
-        try:
-            return await grader.grade_async(run.episode(row))
-        except EpisodeFileError as error:
-            return Grade(error=str(error))
-
-    async def wait() -> list[tuple[Asked, Grade]]:
-        for row, time in itertools.islice(waiting, max_concurrency - len(open_tasks)):
-            open_tasks[asyncio.ensure_future(graded(row))] = row, time
-        done, _ = await asyncio.wait(open_tasks, return_when=asyncio.FIRST_COMPLETED)
-        return [(open_tasks.pop(task), task.result()) for task in done]
-
-    async def cancel() -> None:
-        for task in open_tasks:
-            task.cancel()
-        await asyncio.wait(open_tasks)
+    async def graded(each: Asked) -> None:
+        async with room:
+            try:
+                grade = await grader.grade_async(run.episode(each[0]))
+            except EpisodeFileError as error:
+                grade = Grade(error=str(error))
+            keep(each, grade)
 
     try:
-        left = len(todo)
-        while left:
-            for (row, time), grade in run_sync(wait()):
-                left -= 1
-                yield row, time, grade
-    finally:
-        if open_tasks:
-            run_sync(cancel())
+        async with asyncio.TaskGroup() as group:
+            for each in todo:
+                group.create_task(graded(each))
+    except* EpisodeFileError as errors:  # the scores cannot be written
+        raise errors.exceptions[0] from None
 
 
-def _verdict(graded: Sequence[GradedEpisode]) -> bool | None:
+def _verdict(graded: Sequence[Grade]) -> bool | None:
     """Return the verdict of most repeats; None where they are no verdicts, or as many say the one as the other."""
     values = [each.value for each in graded if each.value is not None]
     if not values or any(value not in (0, 1) for value in values) or 2 * sum(values) == len(values):
@@ -261,7 +247,7 @@ def _verdict(graded: Sequence[GradedEpisode]) -> bool | None:
 
 
 def _task_score(
-    task: str, model: str, rows: Sequence[Row], of_row: Mapping[int, Sequence[GradedEpisode]], changed: set[int]
+    task: str, model: str, rows: Sequence[Row], of_row: Mapping[int, Sequence[Grade]], changed: set[int]
 ) -> TaskScore:
     new: dict[str, list[float]] = {}
     old: dict[str, list[float]] = {}
