@@ -15,7 +15,6 @@ import gem_core as gem
 import gem_eval
 from gem_core.errors import ArgumentError
 from gem_core.records import write_episodes
-from gem_eval.comparing.browse import browse
 from gem_eval.comparing.command import command
 from gem_eval.statistics import mcnemar, paired_difference
 
@@ -153,7 +152,7 @@ def test_a_matrix_corrects_for_all_pairs(tmp_path: Path) -> None:
 def test_runs_without_a_shared_row_are_refused(tmp_path: Path) -> None:
     """With what would make them share rows."""
     a, b = write_index(tmp_path / "a", verdicts("1")), write_index(tmp_path / "b", verdicts("1", id="t:B"))
-    with pytest.raises(ArgumentError, match="share no row to compare by success: the first has 't:A/0' …"):
+    with pytest.raises(ArgumentError, match="'t:A/0'"):
         gem_eval.compare(a, b)
 
 
@@ -161,7 +160,7 @@ def test_success_is_not_compared_where_tasks_never_tell_it(tmp_path: Path) -> No
     """The return is, unless success was asked for."""
     a, b = (write_index(tmp_path / name, verdicts("uu")) for name in "ab")
     assert gem_eval.compare(a, b).metric == "return"
-    with pytest.raises(ArgumentError, match="no task of a and b tells whether it was solved; compare --metric return"):
+    with pytest.raises(ArgumentError, match="--metric return"):
         gem_eval.compare(a, b, metric="success")
 
 
@@ -170,8 +169,17 @@ def test_settings_seeds_and_sampling_that_differ_are_warned_of(tmp_path: Path) -
     settings = [
         {
             "host": sha,
-            "limits": {"max_cost": heat},
-            "tasks": [{"id": "t:A", "env": "t:A", "kwargs": {"max_turns": turns}, "rows": 2, "data_sha256": sha}],
+            "limits": {"episode_turns": heat},
+            "tasks": [
+                {
+                    "id": "t:A",
+                    "env": "t:A",
+                    "kwargs": {"max_turns": turns},
+                    "rows": 2,
+                    "data_sha256": sha,
+                    "code": {"git": sha},
+                }
+            ],
             "models": [{"name": "toy", "options": {"temperature": heat}}],
         }
         for turns, sha, heat in ((5, "aa", 0), (9, "bb", 1))
@@ -179,7 +187,8 @@ def test_settings_seeds_and_sampling_that_differ_are_warned_of(tmp_path: Path) -
     a = write_index(tmp_path / "a", verdicts("10"), **settings[0])
     b = write_index(tmp_path / "b", verdicts("10", seed=2), **settings[1])
     assert gem_eval.compare(a, b).cautions == [
-        "settings differ: limits.max_cost 0 and 1; tasks.t:A.kwargs.max_turns 5 and 9; tasks.t:A.data_sha256 aa and bb",
+        "settings differ: limits.episode_turns 0 and 1; task.t:A.kwargs.max_turns 5 and 9; "
+        "task.t:A.data_sha256 aa and bb; code.the task t:A.git aa and bb",
         "the sampling differs: temperature 0 and 1",
         "the seeds differ in 2 of 2 rows that both have",
     ]
@@ -212,17 +221,6 @@ def test_both_transcripts_of_a_row_are_shown(played: list[Path]) -> None:
     result = call(*played, "--flip", flip.row[:-1])
     assert isinstance(result.exception, ArgumentError)
     assert f"Did you mean '{flip.row}'" in str(result.exception)
-
-
-def test_keys_walk_through_the_flips(played: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
-    """The letter j moves on, Enter shows both episodes, q ends."""
-    found = gem_eval.compare(*played)
-    keys = iter(["j", "j", "k", "\r", "q"])
-    browse(found, lambda: next(keys))
-    shown = capsys.readouterr().out
-    assert f"Episode {found.flips[1].episode_a.number} · {ID}" in shown
-    assert f"Episode {found.flips[1].episode_b.number} · {ID}" in shown
-    assert next(keys, None) is None
 
 
 @pytest.mark.parametrize(

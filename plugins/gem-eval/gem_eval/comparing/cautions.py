@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from gem_core import Episode
 from gem_core.cli import counted
 from gem_core.errors import EpisodeFileError
 from gem_core.records import to_plain
-from gem_eval.settings import differing, short
+from gem_eval.settings import asked_differently, asked_of, code_in, differing, short
 
 if TYPE_CHECKING:
     from gem_eval.comparing.sides import Side, Task
@@ -33,51 +33,29 @@ def cautions_of(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
     """
     runs = [a.run] if a.run is b.run else [a.run, b.run]
     found = [f"{counted(run.damaged, 'line')} of {run.path} cannot be read, left out" for run in runs if run.damaged]
-    if a.run is not b.run:
-        found += _of_settings("settings", _settings(a), _settings(b))
-    found += _of_settings("the sampling", _sampling(a), _sampling(b))
+    if all(run.info for run in runs):
+        found += _of_settings(a, b)
     told = a.run is b.run or (a.run.is_folder and b.run.is_folder)
     found += _of_epochs(a, b, paired)
     return found + _of_seeds(a, b, paired) + list(_of_records(a, b, paired, told=told))
 
 
-def _settings(side: Side) -> dict[str, Any] | None:
-    """Return what the scores of a run depend on besides the model; None for a file of episodes, which does not say."""
-    info = side.run.info
-    if not info:
-        return None
-    tasks = {}
-    for task in _mappings(info.get("tasks")):
-        tasks[str(task.get("id"))] = {name: task.get(name) for name in ("env", "kwargs", "rows", "data_sha256", "code")}
-    suite = info.get("suite")
-    roles = suite.get("roles") if isinstance(suite, Mapping) else None
-    return {"limits": info.get("limits"), "roles": roles, "tasks": tasks}
-
-
-def _sampling(side: Side) -> dict[str, Any] | None:
-    for model in _mappings(side.run.info.get("models")):
-        if model.get("name") == side.model:
-            return {"": model.get("options")}
-    return None
-
-
-def _mappings(value: Any) -> list[Mapping[str, Any]]:
-    return [each for each in value if isinstance(each, Mapping)] if isinstance(value, list) else []
-
-
-def _of_settings(what: str, one: dict[str, Any] | None, other: dict[str, Any] | None) -> list[str]:
-    if one is None or other is None:
-        return []
-    for name, task in one.get("tasks", {}).items():
-        also = other["tasks"].get(name)
-        if also is not None and task.pop("rows") != also.pop("rows"):
-            # The hash is of the rows that were played; of those that both have, the first is looked at below.
-            task["data_sha256"] = also["data_sha256"] = None
-    if "tasks" in one:
-        both = [name for name in one["tasks"] if name in other["tasks"]]
-        one, other = ({**each, "tasks": {name: each["tasks"][name] for name in both}} for each in (one, other))
-    told = differing(one, other)
-    return [f"{what} differ{'s' if what.startswith('the') else ''}: {told}"] if told else []
+def _of_settings(a: Side, b: Side) -> Iterator[str]:
+    """Compare what ``run.json`` of both says that scores depend on besides the model."""
+    one, other = (asked_of(side.run.info) for side in (a, b))
+    codes = [code_in(side.run.info) for side in (a, b)]
+    # What is played may differ: rows are paired, and the models are what is compared.
+    same: dict[str, Any] = {"tasks": None, "models": None, "epochs": None, "model": {}, "seed": one["seed"]}
+    sides = [
+        {**each, **same, "code": {name: own for name, own in code.items() if name in codes[0] and name in codes[1]}}
+        for each, code in zip((one, other), codes, strict=True)
+    ]
+    if told := asked_differently(*sides):
+        yield f"settings differ: {told}"
+    if a.model in one["model"] and b.model in other["model"]:
+        sampling = ({"": each["model"][side.model]["options"]} for each, side in ((one, a), (other, b)))
+        if told := differing(*sampling):
+            yield f"the sampling differs: {told}"
 
 
 def _of_epochs(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import click
 
-from gem_core.cli import output_width
 from gem_core.errors import ArgumentError
 from gem_core.suggestions import did_you_mean
-from gem_eval.comparing.browse import browse, show_flip
 from gem_eval.comparing.comparison import Comparison, Flip, compare_all, default_metric
 from gem_eval.comparing.sides import sides_of
 from gem_eval.comparing.text import flip_lines, print_comparison, print_matrix
 from gem_eval.output import print_json
-from gem_eval.show.text import one_line
+from gem_eval.show.diff import diff_lines
+from gem_eval.show.lines import episode_lines
+from gem_eval.show.paging import write_lines
+from gem_eval.show.text import one_line, rule
 
 if TYPE_CHECKING:
     from gem_eval.scores import Metric
@@ -41,9 +42,6 @@ Success with one epoch of each row is tested by McNemar's exact test, everything
 test that gives each row's difference a random sign. Where several tasks, or several pairs of runs, are
 tested, p-values are corrected by Holm; tests that cannot reach 0.05, as too few of their rows
 differ, are left out of the count (Tarone).
-\b
-In a terminal you walk through the rows that only one run solved: j and k move, Enter shows both transcripts,
-d where they differ, q ends. --plain prints them instead.
 """,
 )
 @click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=click.Path())
@@ -57,7 +55,6 @@ d where they differ, q ends. --plain prints them instead.
 @click.option("--flip", metavar="ROW", help="Show both transcripts of a row.")
 @click.option("--diff", is_flag=True, help="With --flip: show where the two differ.")
 @click.option("--all", "every", is_flag=True, help="List all rows that flipped, not only the first 20.")
-@click.option("--plain", is_flag=True, help="In a terminal, print the rows that flipped instead of asking for keys.")
 @click.option("--json", "as_json", is_flag=True, help="Write the comparisons as JSON.")
 def command(
     runs: tuple[str, ...],
@@ -67,7 +64,6 @@ def command(
     flip: str | None,
     diff: bool,
     every: bool,
-    plain: bool,
     as_json: bool,
 ) -> None:
     """Compare runs, or models of one run, row by row.
@@ -82,21 +78,15 @@ def command(
     comparisons = compare_all(sides, metric or default_metric(sides), scores)
     first = comparisons[0]
     if flip is not None:
-        show_flip(first, _find(first, flip), diff=diff)
+        write_lines(_flip_transcripts(first, _find(first, flip), diff=diff))
     elif as_json:
         print_json({"comparisons": [each.to_dict() for each in comparisons]})
     elif len(sides) > 2:
         print_matrix(sides, comparisons)
     else:
         print_comparison(first)
-        if not first.flips:
-            return
-        click.echo()
-        if sys.stdin.isatty() and output_width() is not None and not plain:
-            browse(first)
-        else:
-            for line in flip_lines(first, every=every):
-                click.echo(line)
+        for line in flip_lines(first, every=every):
+            click.echo(line)
 
 
 def _find(comparison: Comparison, row: str) -> Flip:
@@ -110,3 +100,19 @@ def _find(comparison: Comparison, row: str) -> Flip:
         raise ArgumentError(f"the two share no row {one_line(row)!r} with a value.{did_you_mean(row, list(both))}")
     one, other = a[both[row]], b[both[row]]
     return Flip(both[row][0], row, one.mean, other.mean, one.rows[0], other.rows[0])
+
+
+def _flip_transcripts(comparison: Comparison, flip: Flip, *, diff: bool) -> Iterator[str]:
+    """Yield the lines of both episodes of a row: one after the other, or where they part."""
+    one = comparison.a.run.episode(flip.episode_a)
+    other = comparison.b.run.episode(flip.episode_b)
+    if diff:
+        yield from diff_lines((flip.episode_a.number, flip.episode_b.number), (one, other))
+        return
+    for name, side, row, episode in (
+        ("A", comparison.a, flip.episode_a, one),
+        ("B", comparison.b, flip.episode_b, other),
+    ):
+        yield rule(f"{name}: {side.label}")
+        yield from episode_lines(episode, row.number)
+        yield ""

@@ -15,9 +15,8 @@ from gem_eval.comparing.comparison import counted_tests
 from gem_eval.show.text import one_line
 
 if TYPE_CHECKING:
-    from gem_eval.comparing.comparison import Comparison, Difference, Flip
+    from gem_eval.comparing.comparison import Comparison, Difference
     from gem_eval.comparing.sides import Side
-    from gem_eval.records import Row
     from gem_eval.scores import Metric
 
 _MOST_FLIPS = 20
@@ -68,37 +67,23 @@ def print_matrix(sides: Sequence[Side], comparisons: Sequence[Comparison]) -> No
 
 def flip_lines(comparison: Comparison, *, every: bool = False) -> Iterator[str]:
     """Yield the lines of the rows that only one side solved, each with what shows both episodes."""
-    flips = comparison.flips
+    flips, verdicts = comparison.flips, comparison.overall.only_a is not None
     if not flips:
         return
-    yield f"{flip_title(comparison)}:"
+    yield ""
+    yield f"{counted(len(flips), 'row')} {'that only one solved' if verdicts else 'that differ'}:"
     for flip in flips if every else flips[:_MOST_FLIPS]:
-        yield f"  {flip_line(comparison, flip)}"
-        one, other = show_command(comparison.a, flip.episode_a), show_command(comparison.b, flip.episode_b)
-        yield f"    {one}; {other}"
+        gain = figures.change(flip.b - flip.a, "return")
+        change = ("only A" if flip.a > flip.b else "only B") if verdicts else gain
+        one, other = flip.episode_a.number, flip.episode_b.number
+        yield f"  {change}  {one_line(flip.row, 100)}  (episodes: A {one}, B {other})"
+        yield f"    {_show_command(comparison.a, one)}; {_show_command(comparison.b, other)}"
     if not every and len(flips) > _MOST_FLIPS:
         yield f"  … and {len(flips) - _MOST_FLIPS} more; --all lists them"
 
 
-def flip_title(comparison: Comparison) -> str:
-    """Return what the flips of a comparison are, with their number."""
-    kind = "that only one solved" if comparison.overall.only_a is not None else "that differ"
-    return f"{counted(len(comparison.flips), 'row')} {kind}"
-
-
-def flip_line(comparison: Comparison, flip: Flip) -> str:
-    """Return one row that flipped, with the numbers of both episodes."""
-    episodes = f"A {flip.episode_a.number}, B {flip.episode_b.number}"
-    if comparison.overall.only_a is not None:
-        change = "only A" if flip.a > flip.b else "only B"
-    else:
-        change = figures.change(flip.b - flip.a, "return")
-    return f"{change}  {one_line(flip.row, 100)}  (episodes: {episodes})"
-
-
-def show_command(side: Side, episode: Row) -> str:
-    """Return the command that shows an episode."""
-    return f"gem show {shlex.quote(str(side.run.path))} {episode.number}"
+def _show_command(side: Side, number: int) -> str:
+    return f"gem show {shlex.quote(str(side.run.path))} {number}"
 
 
 def _columns(comparison: Comparison, several: bool) -> list[Column]:
