@@ -12,7 +12,7 @@ from gem_core import JointEpisode, read_records, write_episodes
 from gem_core.cli import main
 from gem_core.errors import ArgumentError
 from gem_eval.viewing.library import ViewedRun
-from gem_eval.viewing.table import Query, Table, row_data
+from gem_eval.viewing.table import Query, answer, row_data
 
 WHITE, BLACK = "duel:Words-v0 white", "duel:Words-v0 black"
 
@@ -36,11 +36,9 @@ def test_each_seat_has_its_own_score_and_no_sum_mixes_them(played: Path) -> None
         pass
     shown = {(s["id"], s["mean"]) for s in viewed.summary["scores"] if s["metric"] == "success"}
     assert shown == {(WHITE, 0.75), (BLACK, 0.25)}
-    table = Table()
-    place = table.places(Query(), [viewed])[0]
-    assert (row_data(place)["outcome"], row_data(place)["reason"]) == ("split", "success: white")
-    assert not table.places(Query(outcomes=("success",)), [viewed])
-    summary = table.summary(Query(), [viewed])
+    places, summary = answer(Query(), ((viewed, viewed.version),))
+    assert (row_data(places[0])["outcome"], row_data(places[0])["reason"]) == ("split", "success: white")
+    assert not Query(outcomes=("success",)).places([viewed])
     assert (summary["episodes"], summary["success"], summary["return"]) == (8, None, None)
 
 

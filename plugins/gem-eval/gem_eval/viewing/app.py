@@ -19,7 +19,7 @@ from gem_eval.episode_data import episode_data, png_of, text_at
 from gem_eval.show.text import escaped
 from gem_eval.turns import outcome_of_row
 from gem_eval.viewing.search import search
-from gem_eval.viewing.table import NUMBERS, Query, Table, row_data
+from gem_eval.viewing.table import NAMES, NUMBERS, Query, answer, choices, row_data
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -90,28 +90,26 @@ class _Pages:
     def __init__(self, library: Library, is_stopping: Callable[[], bool]) -> None:
         self._library = library
         self._is_stopping = is_stopping
-        self._table = Table()
 
     def runs(self, _: Request) -> Response:
         return _json(self._summaries())
 
     def rows(self, request: Request) -> Response:
-        runs, query = self._runs_of(request), _query_of(request)
-        places = self._table.places(query, runs)
+        runs = tuple((viewed, viewed.version) for viewed in self._runs_of(request))
+        places, summary = answer(_query_of(request), runs)
         start, count = _number(request, "start", 0), min(_number(request, "count", 100), MOST_ROWS)
-        answer: dict[str, Any] = {
+        found: dict[str, Any] = {
             "total": len(places),
             "start": start,
             "rows": [row_data(place) for place in places[start : start + count]],
-            "summary": self._table.summary(query, runs),
-            "choices": self._table.choices(runs),
+            "summary": summary,
+            "choices": choices(runs),
         }
         if "at" in request.query_params:
-            name, _, number = request.query_params["at"].rpartition("/")
-            wanted = (name, number)
-            found = (place for place, (run, row) in enumerate(places) if (escaped(run.name), str(row.number)) == wanted)
-            answer["at"] = next(found, None)
-        return _json(answer)
+            wanted = request.query_params["at"]
+            at = (place for place, (run, row) in enumerate(places) if f"{escaped(run.name)}/{row.number}" == wanted)
+            found["at"] = next(at, None)
+        return _json(found)
 
     def episode(self, request: Request) -> Response:
         viewed, row = self._row_of(request)
@@ -143,7 +141,7 @@ class _Pages:
         return Response(content, media_type="image/png", headers={**_HEADERS, "Cache-Control": "max-age=3600"})
 
     def search(self, request: Request) -> Response:
-        places = self._table.places(_query_of(request), self._runs_of(request))
+        places = _query_of(request).places(self._runs_of(request))
         lines = search(places, request.query_params.get("wanted", ""))
         return StreamingResponse(self._json_lines(lines), media_type="application/x-ndjson", headers=_HEADERS)
 
@@ -183,10 +181,7 @@ def _query_of(request: Request) -> Query:
     asked = request.query_params
     return Query(
         outcomes=tuple(asked.getlist("outcome")),
-        models=tuple(asked.getlist("model")),
-        ids=tuple(asked.getlist("id")),
-        reasons=tuple(asked.getlist("reason")),
-        row=asked.get("row", ""),
+        names=tuple((name, tuple(asked.getlist(name))) for name in NAMES if asked.get(name)),
         text=asked.get("text", ""),
         numbers=tuple((name, asked[name]) for name in NUMBERS if asked.get(name)),
         sort=asked.get("sort", ""),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from gem_core.records import to_plain
-from gem_eval.filters import Comparison, parse_comparison
+from gem_eval.filters import parse_comparison
 from gem_eval.show.text import escaped
 from gem_eval.turns import outcome_of_row
 
@@ -48,6 +49,14 @@ OUTCOMES: dict[str, Callable[[Row], bool]] = {
 }
 """What episodes are filtered by; one may be both a failure and cut off."""
 
+NAMES: dict[str, Callable[[Row], str]] = {
+    "model": lambda row: row.model,
+    "id": lambda row: row.id,
+    "row": lambda row: row.row,
+    "reason": reason_of_row,
+}
+"""What episodes are filtered by as a whole."""
+
 NUMBERS: dict[str, Callable[[Row], float | None]] = {
     "return": lambda row: row.episode_return,
     "turns": lambda row: row.turns,
@@ -57,18 +66,13 @@ NUMBERS: dict[str, Callable[[Row], float | None]] = {
 }
 """What comparisons such as ``>0.5`` are made with."""
 
-_TEXTS: dict[str, Callable[[Place], str]] = {
-    "run": lambda place: place.run.name,
-    "model": lambda place: place.row.model,
-    "row": lambda place: place.row.row,
-    "outcome": lambda place: outcome_of_row(place.row),
-    "reason": lambda place: reason_of_row(place.row),
-}
-_ORDERS: dict[str, Callable[[Row], float | None]] = {
+_ORDERS: dict[str, Callable[[Row], Any]] = {
+    **NAMES,
+    **NUMBERS,
+    "outcome": outcome_of_row,
     "number": lambda row: row.number,
     "epoch": lambda row: row.epoch,
     "finished": lambda row: row.finished,
-    **NUMBERS,
 }
 
 
@@ -78,146 +82,80 @@ class Query:
 
     Args:
         outcomes: Names of ``OUTCOMES``, of which one must hold; empty for all.
-        models: Names of models; empty for all.
-        ids: Names of tasks; empty for all.
-        reasons: See ``reason_of_row``; empty for all.
-        row: The identity of one row; empty for all.
+        names: By name of ``NAMES``, the values of which one must be had.
         text: Stands in the task, the row, the model, the error or the key; case does not count.
         numbers: Comparisons by name of ``NUMBERS``, separated by commas, as in ``">0.2, <0.8"``.
         sort: Name of a column; empty for the order in which episodes were written.
         reverse: The last first.
-
-    Raises:
-        ArgumentError: A comparison is none.
     """
 
     outcomes: tuple[str, ...] = ()
-    models: tuple[str, ...] = ()
-    ids: tuple[str, ...] = ()
-    reasons: tuple[str, ...] = ()
-    row: str = ""
+    names: tuple[tuple[str, tuple[str, ...]], ...] = ()
     text: str = ""
     numbers: tuple[tuple[str, str], ...] = ()
     sort: str = ""
     reverse: bool = False
-    _tests: list[Callable[[Row], bool]] = field(default_factory=list, compare=False, init=False)
 
-    def __post_init__(self) -> None:
-        """Make the tests."""
-        tests = self._tests
+    def tests(self) -> Iterator[Callable[[Row], bool]]:
+        """Yield the tests that a row must pass.
+
+        Raises:
+            ArgumentError: A comparison is none.
+        """
         if self.outcomes:
             wanted = [OUTCOMES[name] for name in self.outcomes if name in OUTCOMES]
-            tests.append(lambda row: any(test(row) for test in wanted))
-        rows = (self.row,) if self.row else ()
-        for names, of in ((self.models, _model), (self.ids, _id), (self.reasons, reason_of_row), (rows, _row)):
-            if names:
-                tests.append(_is_one_of(frozenset(names), of))
+            yield lambda row: any(test(row) for test in wanted)
+        for name, values in self.names:
+            # A page knows only what is escaped.
+            yield lambda row, name_of=NAMES[name], values=frozenset(values): escaped(name_of(row)) in values  # type: ignore[misc]
         for name, text in self.numbers:
-            for comparison in filter(str.strip, text.split(",")):
-                tests.append(_compares(NUMBERS[name], parse_comparison(comparison)))
+            for comparison in map(parse_comparison, filter(str.strip, text.split(","))):
+                yield lambda row, value_of=NUMBERS[name], holds=comparison: (  # type: ignore[misc]
+                    (value := value_of(row)) is not None and holds(value)
+                )
         if self.text:
-            wanted_text = self.text.casefold()
-            tests.append(lambda row: wanted_text in _searched(row).casefold())
+            sought = self.text.casefold()
+            yield lambda row: sought in _searched(row).casefold()
 
-    def places(self, runs: Iterable[ViewedRun]) -> list[Place]:
-        """Return the table."""
-        found = []
+    def places(self, runs: Sequence[ViewedRun]) -> list[Place]:
+        """Return the table; what has no value in the column of the order comes last."""
+        found, tests = [], list(self.tests())
         for viewed in runs:
             rows = viewed.rows
-            for test in self._tests:
+            for test in tests:
                 rows = list(filter(test, rows))
             found += [Place(viewed, row) for row in rows]
-        if self.sort in _TEXTS:
-            found.sort(key=_TEXTS[self.sort], reverse=self.reverse)
-        elif self.sort in _ORDERS:
-            value_of = _ORDERS[self.sort]
-            values = [value_of(row) for _, row in found]
-            known = [place for place, value in enumerate(values) if value is not None and value == value]
-            without = [place for place, value in enumerate(values) if value is None or value != value]
-            known.sort(key=values.__getitem__, reverse=self.reverse)  # type: ignore[arg-type]  # there is no None
-            found = [found[place] for place in known + without]
-        elif self.reverse:
-            found.reverse()
-        return found
-
-
-def _model(row: Row) -> str:
-    return row.model
-
-
-def _id(row: Row) -> str:
-    return row.id
-
-
-def _row(row: Row) -> str:
-    return row.row
-
-
-def _is_one_of(names: frozenset[str], of: Callable[[Row], str]) -> Callable[[Row], bool]:
-    # A page knows only what is escaped.
-    return lambda row: escaped(of(row)) in names
-
-
-def _compares(value_of: Callable[[Row], float | None], comparison: Comparison) -> Callable[[Row], bool]:
-    def test(row: Row) -> bool:
-        value = value_of(row)
-        return value is not None and comparison(value)
-
-    return test
+        if self.sort == "run":
+            return sorted(found, key=lambda place: place.run.name, reverse=self.reverse)
+        if self.sort not in _ORDERS:
+            return found[::-1] if self.reverse else found
+        values = [_ORDERS[self.sort](row) for _, row in found]
+        known = [place for place, value in enumerate(values) if value is not None and value == value]
+        without = [place for place, value in enumerate(values) if value is None or value != value]
+        known.sort(key=values.__getitem__, reverse=self.reverse)
+        return [found[place] for place in known + without]
 
 
 def _searched(row: Row) -> str:
     return f"{row.id}\n{row.row}\n{row.model}\n{row.error or ''}\n{row.key}\n{row.seed}"
 
 
-class Table:
-    """Answers queries; the latest answers are kept, since a page asks for them piece by piece as it scrolls."""
-
-    _KEPT = 6
-
-    def __init__(self) -> None:
-        self._answers: OrderedDict[Any, Any] = OrderedDict()
-
-    def places(self, query: Query, runs: Sequence[ViewedRun]) -> list[Place]:
-        """Return the table of a query."""
-        found: list[Place] = self._kept((query, _versions(runs)), lambda: query.places(runs))
-        return found
-
-    def summary(self, query: Query, runs: Sequence[ViewedRun]) -> dict[str, Any]:
-        """Return how the episodes of a query came out, all together."""
-        found: dict[str, Any] = self._kept(
-            ("summary", query, _versions(runs)), lambda: _summary([place.row for place in self.places(query, runs)])
-        )
-        return found
-
-    def choices(self, runs: Sequence[ViewedRun]) -> dict[str, Any]:
-        """Return what some runs can be filtered by, with the number of episodes of each."""
-        found: dict[str, Any] = self._kept(
-            ("choices", _versions(runs)), lambda: _choices([row for viewed in runs for row in viewed.rows])
-        )
-        return found
-
-    def _kept(self, key: Any, make: Callable[[], Any]) -> Any:
-        # Two threads may make the same; the later one is kept.
-        answer = self._answers.get(key)
-        if answer is None:
-            answer = self._answers[key] = make()
-            while len(self._answers) > self._KEPT:
-                self._answers.popitem(last=False)
-        return answer
+Versions = tuple[tuple["ViewedRun", int], ...]
+"""Runs, each with the version of its rows."""
 
 
-def _versions(runs: Sequence[ViewedRun]) -> tuple[tuple[str, int], ...]:
-    return tuple((viewed.name, viewed.version) for viewed in runs)
-
-
-def _summary(rows: Sequence[Row]) -> dict[str, Any]:
+# A page asks piece by piece as it scrolls: of 100,000 rows, each answer would take 0.7 s.
+@lru_cache(maxsize=6)
+def answer(query: Query, versions: Versions) -> tuple[list[Place], dict[str, Any]]:
+    """Return the table of a query, and how its episodes came out, all together."""
+    places = query.places([viewed for viewed, _ in versions])
+    rows = [place.row for place in places]
     # Of several agents somebody always wins, and the sum of their returns says nothing: their scores are by seat.
     alone = [row for row in rows if row.error is None and not row.seats]
     judged = [row.success for row in alone if row.success is not None]
     returns = [row.episode_return for row in alone if math.isfinite(row.episode_return)]
     costs = [row.cost for row in rows if row.cost is not None]
-    return {
+    return places, {
         "episodes": len(rows),
         "success": sum(judged) / len(judged) if judged else None,
         "judged": len(judged),
@@ -227,26 +165,28 @@ def _summary(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def _choices(rows: Sequence[Row]) -> dict[str, Any]:
-    def counted(values: Iterable[str], most: int = 500) -> list[list[Any]]:
-        return [[escaped(value), count] for value, count in Counter(values).most_common(most) if value]
+@lru_cache(maxsize=6)
+def choices(versions: Versions) -> dict[str, Any]:
+    """Return what some runs can be filtered by, with the number of episodes of each."""
+    rows = [row for viewed, _ in versions for row in viewed.rows]
 
+    def counted(name: str) -> list[list[Any]]:
+        found = Counter(map(NAMES[name], rows)).most_common(500)
+        return [[escaped(value), count] for value, count in found if value]
+
+    has: dict[str, Callable[[Row], bool]] = {
+        "epoch": lambda row: row.epoch > 0,
+        "tokens": lambda row: _tokens(row) is not None,
+        "cost": lambda row: row.cost is not None,
+        "seconds": lambda row: row.seconds is not None,
+        "reason": lambda row: bool(reason_of_row(row)),
+    }
     return {
         "outcomes": [[name, sum(map(test, rows))] for name, test in OUTCOMES.items()],
-        "models": counted(row.model for row in rows),
-        "ids": counted(row.id for row in rows),
-        "reasons": counted(map(reason_of_row, rows)),
-        "columns": [
-            name
-            for name, has in {
-                "epoch": lambda row: row.epoch > 0,
-                "tokens": lambda row: _tokens(row) is not None,
-                "cost": lambda row: row.cost is not None,
-                "seconds": lambda row: row.seconds is not None,
-                "reason": lambda row: bool(reason_of_row(row)),
-            }.items()
-            if any(map(has, rows))
-        ],
+        "models": counted("model"),
+        "ids": counted("id"),
+        "reasons": counted("reason"),
+        "columns": [name for name, test in has.items() if any(map(test, rows))],
     }
 
 
@@ -256,20 +196,13 @@ def row_data(place: Place) -> dict[str, Any]:
     record: dict[str, Any] = to_plain(
         {
             "run": escaped(place.run.name),
+            **{name: escaped(value_of(row)) for name, value_of in NAMES.items()},
+            **{name: value_of(row) for name, value_of in NUMBERS.items()},
             "number": row.number,
-            "id": escaped(row.id),
-            "model": escaped(row.model),
-            "row": escaped(row.row),
             "epoch": row.epoch,
             "outcome": outcome_of_row(row),
             "cutOff": row.cut_off is not None,
-            "reason": escaped(reason_of_row(row)),
             "error": escaped(row.error or ""),
-            "return": row.episode_return,
-            "turns": row.turns,
-            "tokens": _tokens(row),
-            "cost": row.cost,
-            "seconds": row.seconds,
         }
     )
     return record
