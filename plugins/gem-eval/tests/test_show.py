@@ -20,9 +20,8 @@ from recorded import broken, failed, hostile, maze, turn, write_all
 
 from gem_core import Episode, Response, write_episodes
 from gem_core.cli import main
-from gem_core.errors import ArgumentError
 from gem_core.testing import check_plugin
-from gem_eval.filters import matches_id, parse_comparison
+from gem_eval.filters import parse_comparison
 from gem_eval.records import RunWriter, open_run
 from gem_eval.show.diff import diff_lines
 from gem_eval.show.lines import episode_lines, list_lines
@@ -123,30 +122,6 @@ def test_filters_and_order(show, arguments: list[str], expected: list[int]) -> N
     assert numbers(show(*arguments)) == expected
 
 
-def test_a_filter_that_nothing_fits_says_so(show) -> None:
-    """On standard error; as JSON it is an empty list."""
-    assert show("--group", "none") == (0, "", "gem: no episode of run.jsonl fits, of 5\n")
-    assert show("--group", "none", "--json") == (0, "[]\n", "")
-
-
-def test_json_lists_what_fits(show) -> None:
-    """For machines, with the number that opens the episode."""
-    (found,) = json.loads(show("--failure", "--json").out)
-    assert found == {
-        "number": 2,
-        "id": "maze:Room-v0",
-        "success": False,
-        "return": 0.25,
-        "turns": 2,
-        "error": None,
-        "seed": 7,
-        "group": "g1",
-        "model": None,
-        "cut_off": None,
-    }
-    assert json.loads(show("2", "--json").out)["final_observation"] == "Night falls."
-
-
 COMMANDS = re.findall(r"^gem show runs/guess.jsonl(.*?)(?:  |$)", README.read_text(encoding="utf-8"), re.MULTILINE)
 
 
@@ -155,31 +130,6 @@ def test_what_the_readme_shows_can_be_typed(show, arguments: str) -> None:
     """With another file."""
     outcome = show(*shlex.split(arguments))
     assert (outcome.code, bool(outcome.out), outcome.err) == (0, True, "")
-
-
-@pytest.mark.parametrize("text", ["x", "> y", ">>1", "", "1 2", ">"])
-def test_what_is_no_comparison_is_refused(text: str) -> None:
-    """With the forms that are."""
-    with pytest.raises(ArgumentError) as caught:
-        parse_comparison(text)
-    assert str(caught.value) == (
-        f"{text!r} is no comparison with a number; write '>0.5', '>=0.5', '<0.5', '<=0.5', '=1' or '!=0', in quotes"
-    )
-
-
-@pytest.mark.parametrize("text", [">1", ">=1", "<1", "<=1", "=1", "==1", "1", "!=1"])
-def test_comparisons_are_those_of_python(text: str) -> None:
-    """On both sides of the bound and on it; what is no number fits none but the last."""
-    expression = text if text[0] in "<>!" or text.startswith("==") else f"=={text.lstrip('=')}"
-    for value in (0.5, 1.0, 1.5, float("nan")):
-        assert parse_comparison(text)(value) == eval(f"value{expression}", {"value": value})
-
-
-def test_an_id_fits_by_part_or_glob() -> None:
-    """A glob must fit the whole."""
-    assert matches_id("game:A-v0-easy", "a-V0")
-    assert matches_id("game:A-v0-easy", "game:*-easy")
-    assert not matches_id("game:A-v0-easy", "a-v0*")
 
 
 def test_one_episode_is_told_turn_by_turn(show) -> None:
@@ -206,27 +156,9 @@ def test_one_episode_is_told_turn_by_turn(show) -> None:
         )
     ]
     assert places == sorted(places)
-    assert show("--episode", "1").out == out
     assert show("1", "--full").out.count("Find a way out") == 12
     assert "error  timeout: no answer in 5 s\n" in show("3").out
     assert "  A picture of the room:\n  [image " in show("5").out
-
-
-def test_an_episode_without_turns_is_shown() -> None:
-    """A reset that failed: the observation and the error."""
-    episode = Episode("toy:A-v0", None, "first", {"error": {"kind": "crash", "message": "gone"}})
-    lines = plain(episode_lines(episode, 1))
-    assert lines[:2] == ["Episode 1 · toy:A-v0", "error, return 0, 0 turns"]
-    assert {"  first", "error: crash: gone"} <= {*lines}
-
-
-def test_an_observation_that_only_repeats_is_counted() -> None:
-    """A turn after which the environment says the same again."""
-    episode = maze()
-    episode.transitions[1].observation = episode.observation
-    length = len(str(episode.observation))
-    lines = plain(episode_lines(episode, 1))
-    assert f"  … {length} characters as in the turn before (--full shows them)" in lines
 
 
 def test_messages_are_told_by_role_and_those_said_before_are_folded() -> None:
@@ -268,18 +200,14 @@ def test_a_diff_says_where_two_episodes_of_one_start_part(show) -> None:
     """What is alike is counted, what is not stands with its sign."""
     lines = show("--diff", "1", "2").out.splitlines()
     assert lines[0] == "- episode 1 · maze:Room-v0 · success, return 0.75, 3 turns, seed 7"
-    assert lines[2] == "They share a start: environment, seed, options, arguments, wrappers and tools."
+    assert lines[2].startswith("They share a start")
     assert lines[4:6] == ["They part at turn 2, with the response.", "… 1 turn alike"]
-    at = lines.index("response")
-    assert lines[at + 1 : at + 6] == ["- go", "+ stay", "reward", "- -0.5", "+ 0, terminated"]
-    assert "only in the first" in lines
+    at = lines.index("  response")
+    assert lines[at + 1 : at + 5] == [
+        "-   go", "- reward  -0.5, cut off at the token limit", "+   stay", "+ reward  0, terminated",
+    ]  # fmt: skip
     assert lines[-2:] == ["- You are outside.", "+ Night falls."]
-
-
-def test_a_diff_says_when_the_start_is_another(show) -> None:
-    """Named with both values."""
-    out = show("--diff", "1", "3").out
-    assert "They do not share a start: environment maze:Room-v0 and chat:Talk-v0; seed 7 and 3; " in out
+    assert "environment maze:Room-v0 and chat:Talk-v0; seed 7 and 3" in show("--diff", "1", "3").out
 
 
 def test_a_diff_of_episodes_that_are_alike_says_so() -> None:
@@ -317,112 +245,6 @@ def test_what_is_escaped_stands_as_its_code() -> None:
     assert escaped("👩\u200d🔬 naïve 漢字") == "👩\u200d🔬 naïve 漢字"
 
 
-@pytest.mark.parametrize(
-    ("content", "code", "message"),
-    [
-        (b"", 1, "gem: run.jsonl is empty: it holds no episodes (yet)"),
-        (b"\n\n", 1, "gem: run.jsonl holds no episode: its lines are blank"),
-        (b"hello\nworld\n", 1, "gem: run.jsonl holds no whole episode; line 1: it is no JSON object"),
-        (
-            b'{"a": 1}\n',
-            1,
-            "gem: run.jsonl holds no whole episode; line 1: it is no record of an episode: there is no schema_version",
-        ),
-        (None, 2, "gem: Invalid value for 'RUN': Path 'run.jsonl' does not exist. Run 'gem show --help'"),
-    ],
-)
-def test_what_is_no_file_of_episodes_gets_one_line(show, content: bytes | None, code: int, message: str) -> None:
-    """With the reason and an exit code that fits."""
-    path = Path("run.jsonl")
-    path.unlink()
-    if content is not None:
-        path.write_bytes(content)
-    assert show() == (code, "", message + "\n")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["6"], "no episode 6 in run.jsonl, which has 5 lines. Run 'gem show run.jsonl'"),
-        (["1", "--episode", "2"], "N is 1, but --episode is 2; name one"),
-        (["1", "--diff", "1", "2"], "--diff goes with no other form: leave out N, --html and --json"),
-        (["--html", "x.html", "--json"], "--html and --json are two forms; choose one"),
-        (["--html", "run.jsonl"], "--html run.jsonl is the file of episodes itself; name another"),
-        (["--html", "x.html", "--env", "zz"], "no episode of run.jsonl fits; no page is written"),
-        (["--return", "high"], "'high' is no comparison with a number"),
-        (["0"], "Invalid value for '[N]': 0 is not in the range x>=1."),
-        (["--sort", "x"], "Invalid value for '--sort': 'x' is not one of"),
-    ],
-)
-def test_what_is_asked_wrongly_gets_one_line_and_exit_code_2(show, arguments: list[str], message: str) -> None:
-    """And nothing on standard output."""
-    outcome = show(*arguments)
-    assert (outcome.code, outcome.out, outcome.err.count("\n")) == (2, "", 1)
-    assert message in outcome.err
-    assert not Path("x.html").exists()
-
-
-def test_damaged_lines_are_named_and_the_rest_is_shown(show) -> None:
-    """In one line, in the list and in the page; asked for by number it is an error."""
-    with Path("run.jsonl").open("ab") as file:
-        file.write(b'nonsense\n{"id": "cut')
-    outcome = show()
-    assert len(outcome.out.splitlines()) == 6
-    line = "gem: run.jsonl, line 6: passed over, because it is no JSON object; lines passed over in all: 2\n"
-    assert (outcome.code, outcome.err) == (0, line)
-    assert show("--html", "x.html").err == line
-    assert "2 lines of the file hold no whole episode." in Path("x.html").read_text("utf-8")
-    outcome = show("7")
-    assert outcome.code == 1
-    assert outcome.err.startswith("gem: run.jsonl, line 7 holds no whole episode: it is no valid JSON (")
-    assert outcome.err.endswith(". The line is cut off: the writer was interrupted, or is still at it\n")
-
-
-def test_a_damaged_turn_in_the_middle_is_damage(show) -> None:
-    """As reading the episodes would find it."""
-    record = maze().to_dict()
-    del record["transitions"][1]["action"]
-    Path("run.jsonl").write_text(json.dumps(record) + "\n" + json.dumps(maze().to_dict()) + "\n", encoding="ascii")
-    outcome = show("--grep", "door")
-    assert len(outcome.out.splitlines()) == 2
-    assert "line 1: passed over" in outcome.err
-
-
-def in_terminal(path: Path, *arguments: str, **env: str) -> str:
-    """What gem show writes to a terminal, with `cat` for a pager."""
-    controller, terminal = pty.openpty()
-    command = [sys.executable, "-m", "gem_core", "show", str(path), *arguments]
-    clean = {name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "LESS")}
-    with subprocess.Popen(
-        command, stdout=terminal, stderr=terminal, stdin=terminal, env={**clean, "TERM": "xterm", "PAGER": "cat", **env}
-    ) as process:
-        os.close(terminal)
-        written = b""
-        while True:
-            try:
-                chunk = os.read(controller, 65536)
-            except OSError:  # Linux says so when the other side is closed.
-                break
-            if not chunk:
-                break
-            written += chunk
-        assert process.wait(timeout=60) == 0
-    os.close(controller)
-    return written.decode()
-
-
-def test_colours_stand_in_a_terminal_alone_and_not_with_no_color(tmp_path: Path) -> None:
-    """And escape sequences of others in neither."""
-    path = write_all(tmp_path / "run.jsonl")
-    assert "\x1b[32msuccess" in in_terminal(path)
-    coloured = in_terminal(path, "4")
-    assert "\x1b[1mEpisode 4" in coloured
-    assert "\x1b[2J" not in coloured
-    assert "\x07" not in coloured
-    assert "\x1b" not in in_terminal(path, NO_COLOR="1")
-    assert "\x1b" not in in_terminal(path, "1", TERM="dumb")
-
-
 def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path) -> None:
     """As in `gem show FILE | head -1`."""
     path = tmp_path / "run.jsonl"
@@ -433,15 +255,93 @@ def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
-def test_files_without_the_seed_of_the_run_are_shown_alike(show, tmp_path: Path) -> None:
-    """Those of the form before; the list, an episode, and two compared."""
-    lines = [json.loads(line) for line in (tmp_path / "run.jsonl").read_text().splitlines()]
-    assert all("run_seed" in record for record in lines)
-    for record in lines:
-        del record["run_seed"]
-    (tmp_path / "old.jsonl").write_text("".join(json.dumps(record) + "\n" for record in lines))
-    for arguments in ([], ["1"], ["--diff", "1", "2"], ["--json"]):
-        assert show(*arguments, file="old.jsonl") == show(*arguments)
+def test_json_lists_what_fits(show) -> None:
+    """For programs, with the number that opens the episode; a filter that nothing fits gives an empty list."""
+    (found,) = json.loads(show("--failure", "--json").out)
+    assert found == {
+        "number": 2, "id": "maze:Room-v0", "success": False, "return": 0.25, "turns": 2, "error": None, "seed": 7,
+        "group": "g1", "model": None, "cut_off": None,
+    }  # fmt: skip
+    assert json.loads(show("2", "--json").out)["final_observation"] == "Night falls."
+    assert show("--group", "none", "--json") == (0, "[]\n", "")
+    assert show("--group", "none").err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "holds"),
+    [
+        (">1", [0, 0, 1]),
+        (">=1", [0, 1, 1]),
+        ("<1", [1, 0, 0]),
+        ("<= 1", [1, 1, 0]),
+        ("1", [0, 1, 0]),
+        ("!=1", [1, 0, 1]),
+    ],
+)
+def test_comparisons_are_those_of_python(text: str, holds: list[int]) -> None:
+    assert [parse_comparison(text)(value) for value in (0.5, 1.0, 1.5)] == [bool(each) for each in holds]
+
+
+@pytest.mark.parametrize(
+    ("content", "code"), [(b"", 1), (b"\n\n", 1), (b"hello\nworld\n", 1), (b'{"a": 1}\n', 1), (None, 2)]
+)
+def test_what_is_no_file_of_episodes_gets_one_line(show, content: bytes | None, code: int) -> None:
+    path = Path("run.jsonl")
+    path.unlink()
+    if content is not None:
+        path.write_bytes(content)
+    outcome = show()
+    assert (outcome.code, outcome.out, outcome.err.count("\n"), "run.jsonl" in outcome.err) == (code, "", 1, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "value"),
+    [
+        (["6"], "which has 5"),
+        (["1", "--diff", "1", "2"], "--diff"),
+        (["--html", "x.html", "--json"], "--json"),
+        (["--html", "run.jsonl"], "run.jsonl"),
+        (["--html", "x.html", "--env", "zz"], "no page"),
+        (["--return", "high"], "'high'"),
+        (["--return", ">>1"], "'>>1'"),
+    ],
+)
+def test_what_is_asked_wrongly_gets_one_line_and_exit_code_2(show, arguments: list[str], value: str) -> None:
+    outcome = show(*arguments)
+    assert (outcome.code, outcome.out, outcome.err.count("\n"), value in outcome.err) == (2, "", 1, True)
+    assert not Path("x.html").exists()
+
+
+def test_damaged_lines_are_named_and_the_rest_is_shown(show) -> None:
+    """In the list and in the page; asked for by number it is an error."""
+    lines = Path("run.jsonl").read_text("ascii").splitlines(keepends=True)
+    record = json.loads(lines[0])
+    del record["transitions"][1]["action"]
+    Path("run.jsonl").write_text("".join([json.dumps(record) + "\n", *lines[1:], "nonsense\n", '{"id": "cut']), "ascii")
+    outcome = show()
+    assert (outcome.code, len(outcome.out.splitlines())) == (0, 5)
+    assert ("line 1:" in outcome.err, "3" in outcome.err) == (True, True)
+    assert show("--html", "x.html").err == outcome.err
+    assert "3 lines of the file hold no whole episode." in Path("x.html").read_text("utf-8")
+    assert show("7").code == 1
+
+
+def test_colours_stand_in_a_terminal_alone(tmp_path: Path) -> None:
+    """And escape sequences of others nowhere; ``NO_COLOR`` switches colours off."""
+    path = write_all(tmp_path / "run.jsonl")
+    seen = []
+    for environment in ({}, {"NO_COLOR": "1"}):
+        controller, terminal = pty.openpty()
+        clean = {name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "LESS")}
+        command = [sys.executable, "-m", "gem_core", "show", str(path), "4"]
+        env = {**clean, "TERM": "xterm", "PAGER": "cat", **environment}
+        subprocess.run(command, stdout=terminal, stderr=terminal, stdin=terminal, env=env, timeout=60, check=True)
+        os.close(terminal)
+        seen.append(os.read(controller, 65536).decode())
+        os.close(controller)
+    assert "\x1b[1mEpisode 4" in seen[0]
+    assert "\x1b[2J" not in seen[0]
+    assert "\x1b" not in seen[1]
 
 
 def test_the_folder_of_a_run_is_shown_as_a_file_is(show, tmp_path: Path) -> None:
@@ -451,13 +351,9 @@ def test_the_folder_of_a_run_is_shown_as_a_file_is(show, tmp_path: Path) -> None
         for number, episode in enumerate([maze(), failed(), hostile()]):
             episode.key, episode.agent = str(number), "openai:m"
             writer.write(episode, {"model": "openai:m"})
-    code, out, _ = show("--grep", "night falls", "--json", file="run")
-    assert (code, [row["number"] for row in json.loads(out)]) == (0, [2])
+    assert numbers(show("--grep", "night falls", file="run")) == [2]
     assert numbers(show("--group", "g1", file="run")) == [1, 2]
     assert numbers(show("--model", "openai", file="run")) == [1, 2, 3]
-    assert show("--model", "mini", file="run").err == "gem: no episode of run fits, of 3\n"
-    assert show(file="run").out.splitlines()[2].split()[:4] == ["2", "maze:Room-v0", "openai:m", "failure"]
     assert "Where is the door?" in show("1", file="run")[1]
-    assert "\nmodel: openai:m\n" in show("1", file="run")[1]
-    assert show("9", file="run")[2].startswith("gem: no episode 9 in run, which has 3. Run 'gem show run'")
+    assert show("9", file="run").code == 2
     assert show("--html", "page.html", file="run")[1] == "3 episodes written to page.html\n"

@@ -6,7 +6,6 @@ import io
 import itertools
 import os
 import sys
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -26,7 +25,6 @@ from gem_eval.show.paging import write_lines
 from gem_eval.show.text import one_line
 
 _HTML_LIMIT = 500
-_SILENT_S = 2.0
 
 
 @click.command(
@@ -59,7 +57,6 @@ the one asked for is damaged, 2 for a wrong argument.
 )
 @click.argument("path", metavar="RUN", type=click.Path(exists=True))
 @click.argument("number", metavar="[N]", required=False, type=click.IntRange(min=1))
-@click.option("--episode", "option_number", metavar="N", type=click.IntRange(min=1), help="The same as N.")
 @click.option("--env", metavar="PATTERN", help="Only ids with this part, or that fit a glob in quotes.")
 @click.option("--model", metavar="PATTERN", help="Only these models, by the same rule.")
 @click.option("--success/--failure", "success", default=None, help="Only solved, or only not solved.")
@@ -82,7 +79,6 @@ the one asked for is damaged, 2 for a wrong argument.
 def command(
     path: str,
     number: int | None,
-    option_number: int | None,
     diff: tuple[int, int] | None,
     seat: str | None,
     html: str | None,
@@ -97,9 +93,6 @@ def command(
 
     RUN is a folder that 'gem eval' wrote, or a file of 'gem run'. N is the number of one episode.
     """
-    if number is not None and option_number not in (None, number):
-        raise ArgumentError(f"N is {number}, but --episode is {option_number}; name one")
-    number = option_number if number is None else number
     if diff is not None and (number is not None or html is not None or as_json):
         raise ArgumentError("--diff goes with no other form: leave out N, --html and --json")
     if html is not None and as_json:
@@ -114,10 +107,7 @@ def command(
     elif number is not None and html is None:
         _show_episode(run, number, seat, full, as_json)
     else:
-        # A list that grows in a terminal shows by itself how far it is.
-        grows = sys.stdout.isatty() and html is None and not as_json and sort is None and not reverse
-        rows = run.read_all() if grows else _with_progress(run)
-        rows = rows if seat is None else at_seat(rows, seat)
+        rows = run.read_all() if seat is None else at_seat(run.read_all(), seat)
         fitting = select(run, rows, **conditions) if number is None else iter([run.row(number)])
         if html is not None:
             _write_page(run, ordered(fitting, sort, reverse, None), seat, html, limit or _HTML_LIMIT)
@@ -230,17 +220,3 @@ def _count_whole(run: Run) -> int:
         number, reason = next(iter(run.damage.items()))
         raise EpisodeFileError(f"{run.path} holds no whole episode; line {number}: {reason}")
     raise EpisodeFileError(f"{run.path} holds no episode: its lines are blank")
-
-
-def _with_progress(run: Run) -> Iterator[Row]:
-    """Yield the rows of a run, and say in a terminal how much of it is read, if that takes more than a moment."""
-    shown = sys.stderr.isatty() and run.share_read < 1
-    due = time.monotonic() + _SILENT_S
-    written = False
-    for row in run.read_all():
-        if shown and time.monotonic() > due:
-            due, written = time.monotonic() + 0.2, True
-            click.echo(f"\rgem: reading {run.path.name}, {run.share_read:.0%} ", err=True, nl=False)
-        yield row
-    if written:
-        click.echo("\r\x1b[K", err=True, nl=False)

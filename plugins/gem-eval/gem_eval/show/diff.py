@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 
 from click import style
 
 from gem_core import Episode
 from gem_core.cli import counted
-from gem_eval.show.lines import text_lines
 from gem_eval.show.text import dim, escaped, heading, highlighted, one_line, rule
 from gem_eval.turns import TurnView, outcome_of, parts_of, text_of, turn_views
 
@@ -37,33 +36,30 @@ def diff_lines(numbers: tuple[int, int], episodes: tuple[Episode, Episode]) -> I
     for mark, number, episode in zip("-+", numbers, episodes, strict=True):
         outcome = outcome_of(episode.success, failed=episode.error is not None)
         figures = f"{outcome}, return {episode.episode_return:g}, {episode.turns} turns, seed {episode.seed}"
-        yield _marked(mark, f"episode {number} · {one_line(episode.id)} · {one_line(figures)}")
+        yield _marked(f"{mark}episode {number} · {one_line(episode.id)} · {one_line(figures)}")
     yield _start_line(*episodes)
-    parted = False
-    alike = 0
-    turns = (turn_views(episode, fold=False) for episode in episodes)
-    for number, (one, other) in enumerate(zip_longest(*turns), start=1):
-        difference = _difference(one, other)
-        if not difference:
+    parted = alike = 0
+    turns = (map(_turn_lines, turn_views(episode, fold=False)) for episode in episodes)
+    for number, (one, other) in enumerate(zip_longest(*turns, fillvalue=()), start=1):
+        if one == other:
             alike += 1
             continue
         if not parted:
-            parted = True
+            parted = number
             yield ""
-            yield heading(f"They part at turn {number}, with {difference}.")
-        yield from _equal_turns_lines(alike)
+            yield heading(f"They part at turn {number}, with {_what_differs(one, other)}.")
+        if alike:
+            yield dim(f"… {counted(alike, 'turn')} alike")
         alike = 0
         yield rule(f"turn {number}")
-        yield from _turn_lines(one, other)
-    first, second = (text_of(parts_of(episode.final_observation)) for episode in episodes)
-    if parted:
-        yield from _equal_turns_lines(alike)
-    else:
-        yield heading(f"All {alike} turns are alike{'' if first == second else ', but not what came last'}.")
+        yield from _differing_lines(one, other)
+    first, second = (text_of(parts_of(episode.final_observation)).split("\n") for episode in episodes)
+    if alike:
+        ending = "" if parted or first == second else ", but not what came last"
+        yield dim(f"… {counted(alike, 'turn')} alike") if parted else heading(f"All {alike} turns are alike{ending}.")
     if first != second:
-        yield rule("end")
-        yield heading("final observation")
-        yield from _text_diff(first, second)
+        yield rule("final observation")
+        yield from _differing_lines(first, second)
 
 
 def _start_line(first: Episode, second: Episode) -> str:
@@ -77,68 +73,37 @@ def _start_line(first: Episode, second: Episode) -> str:
     return f"They do not share a start: {'; '.join(pairs)}."
 
 
-def _equal_turns_lines(turns: int) -> list[str]:
-    return [dim(f"… {counted(turns, 'turn')} alike")] if turns else []
+def _turn_lines(turn: TurnView) -> list[str]:
+    """Return what is compared of a turn: what was seen and said, without what a server reports, and the reward."""
+    lines = []
+    for block in turn.blocks:
+        if block.label != "reasoning":
+            lines += [block.label, *(f"  {line}" for line in block.text.split("\n"))]
+    return [*lines, ", ".join([f"reward  {turn.reward:g}", *turn.flags])]
 
 
-def _difference(one: TurnView | None, other: TurnView | None) -> str:
-    """Return what two turns first differ in, in words; empty where they are alike."""
-    if one is None or other is None:
-        return f"the end of the {'first' if one is None else 'second'}"
-    first, second = _sections(one), _sections(other)
-    apart = next((name for name, text in first.items() if text != second[name]), "")
-    if apart == "observation":
-        return "the observation, although all before it was alike"
-    if apart == "reward" and str(one.reward) == str(other.reward):
-        return "the flags"
-    return apart and f"the {apart}"
+def _what_differs(one: Sequence[str], other: Sequence[str]) -> str:
+    if not one or not other:
+        return f"the end of the {'second' if one else 'first'}"
+    same = next(place for place, (line, also) in enumerate(zip(one, other, strict=False)) if line != also)
+    in_block = one[same].startswith(" ") or other[same].startswith(" ")
+    label = [line for line in one[: same + (not in_block)] if not line.startswith(" ")][-1].split("  ")[0]
+    return f"the {label}{', although all before it was alike' if label == 'observation' else ''}"
 
 
-def _turn_lines(one: TurnView | None, other: TurnView | None) -> Iterator[str]:
-    sections = [_sections(turn) for turn in (one, other) if turn is not None]
-    if len(sections) == 1:
-        mark, episode = ("+", "second") if one is None else ("-", "first")
-        yield f"only in the {episode}"
-        for name, text in sections[0].items():
-            yield heading(name)
-            yield from (_marked(mark, line) for line in text.split("\n"))
-        return
-    first, second = sections
-    for name, text in first.items():
-        yield heading(name)
-        if text != second[name]:
-            yield from _text_diff(text, second[name])
-        elif name == "observation":
-            yield dim("  (alike)")
-        else:
-            yield from text_lines(text)
-
-
-def _sections(turn: TurnView) -> dict[str, str]:
-    said = [block.text for block in turn.blocks if block.label in ("response", "tool call")]
-    ending = [flag for flag in turn.flags if flag in ("terminated", "truncated")]
-    return {
-        "observation": turn.blocks[0].text,
-        "response": "\n".join(said),
-        "reward": ", ".join([f"{turn.reward:g}", *ending]),
-    }
-
-
-def _text_diff(first: str, second: str) -> Iterator[str]:
-    one, other = first.split("\n"), second.split("\n")
+def _differing_lines(one: Sequence[str], other: Sequence[str]) -> Iterator[str]:
     if len(one) + len(other) > _MOST_LINES:
         yield f"  too long to compare line by line: {len(one):,} and {len(other):,} lines"
         return
     _, _, *lines = difflib.unified_diff(one, other, n=2, lineterm="")  # the first two name the files
     for line in lines:
-        if line.startswith("@@"):
-            if not line.startswith(("@@ -1,", "@@ -1 ")):
-                yield dim("  ⋯")
-        elif line.startswith(" "):
-            yield f"  {highlighted(line[1:])}"
-        else:
-            yield _marked(line[0], line[1:])
+        if not line.startswith("@@"):
+            yield _marked(line)
+        elif not line.startswith(("@@ -1,", "@@ -1 ")):
+            yield dim("  ⋯")
 
 
-def _marked(mark: str, line: str) -> str:
-    return style(f"{mark} {escaped(line)}", fg="red" if mark == "-" else "green")
+def _marked(line: str) -> str:
+    if line.startswith(" "):
+        return f"  {highlighted(line[1:])}"
+    return style(f"{line[0]} {escaped(line[1:])}", fg="red" if line[0] == "-" else "green")
