@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import cast
 
@@ -33,7 +33,7 @@ class RequirementStatus:
     advice: str = ""
 
 
-def find(requirement: str, *, closely: bool = False) -> RequirementStatus:
+def find(requirement: str, *, closely: bool = False) -> RequirementStatus:  # noqa: C901 - one branch for each word
     """Return the status of a requirement.
 
     Args:
@@ -41,8 +41,32 @@ def find(requirement: str, *, closely: bool = False) -> RequirementStatus:
         closely: Whether to run slow checks too, such as asking a container engine whether it answers.
     """
     word, _, argument = requirement.partition(":")
-    if word in _CORE:
-        return _CORE[word](argument)
+    match word:
+        case "key":
+            if os.environ.get(argument):
+                return RequirementStatus("met", "is set")
+            return RequirementStatus("unmet", "is not set", f"it needs a key: set the environment variable {argument}")
+        case "package":
+            return _package(argument)
+        case "command":
+            if shutil.which(argument) is not None:
+                return RequirementStatus("met", "is on the PATH")
+            advice = f"it needs the command {argument!r} on the PATH: install it"
+            return RequirementStatus("unmet", "is not on the PATH", advice)
+        case "argument":
+            advice = f"it needs an argument: make(…, {argument}=…), or --set {argument}=… of gem run"
+            return RequirementStatus("unmet", "is given to make", advice)
+        case "never":
+            return RequirementStatus("unmet", "cannot run anywhere", argument)
+        case "network":
+            return RequirementStatus("untried", "known only when it is used")
+        case "hub":
+            for name in ("HF_HUB_OFFLINE", "HF_DATASETS_OFFLINE", "TRANSFORMERS_OFFLINE"):
+                if os.environ.get(name, "").upper() in _ON:
+                    detail = f"offline by {name}: only what is in the cache"
+                    return RequirementStatus("untried", detail, f"unset {name} to download")
+            return RequirementStatus("untried", "online, and not tried here")
+    # A word of a plugin. For those above, a worker process need not load the installed plugins.
     record = next((each for each in registry().specs(RequirementSpec) if each.name == word), None)
     if record is None:
         return RequirementStatus("unknown", "not a word that GEM knows")
@@ -76,12 +100,6 @@ def check_requirements(record: EnvSpec, given: Iterable[str] = ()) -> None:
         raise MissingRequirementError(f"{record.id} cannot run here: {'; '.join(missing.values())}")
 
 
-def _key(name: str) -> RequirementStatus:
-    if os.environ.get(name):
-        return RequirementStatus("met", "is set")
-    return RequirementStatus("unmet", "is not set", f"it needs a key: set the environment variable {name}")
-
-
 def _package(name: str) -> RequirementStatus:
     distribution, _, extra = name.removesuffix("]").partition("[")
     if extra:
@@ -90,11 +108,10 @@ def _package(name: str) -> RequirementStatus:
     if version is not None:
         return RequirementStatus("met", f"version {version}")
     try:
-        importable = importlib.util.find_spec(name.replace("-", "_")) is not None
+        if importlib.util.find_spec(name.replace("-", "_")) is not None:
+            return RequirementStatus("met", "can be imported")
     except (ImportError, ValueError):  # no parent package, an empty name, or a module without a specification
-        importable = False
-    if importable:
-        return RequirementStatus("met", "can be imported")
+        pass
     return RequirementStatus("unmet", "is not installed", f"it needs the package {name}: 'pip install {name}'")
 
 
@@ -106,43 +123,3 @@ def _extra(distribution: str, extra: str) -> RequirementStatus:
         return RequirementStatus("met", f"has {', '.join(added)}")
     advice = f"it needs an extra of {distribution}: 'pip install \"{distribution}[{extra}]\"'"
     return RequirementStatus("unmet", f"lacks {', '.join(missing)}" if missing else "is not installed", advice)
-
-
-def _command(name: str) -> RequirementStatus:
-    if shutil.which(name) is not None:
-        return RequirementStatus("met", "is on the PATH")
-    return RequirementStatus("unmet", "is not on the PATH", f"it needs the command {name!r} on the PATH: install it")
-
-
-def _hub(_: str) -> RequirementStatus:
-    for name in ("HF_HUB_OFFLINE", "HF_DATASETS_OFFLINE", "TRANSFORMERS_OFFLINE"):
-        if os.environ.get(name, "").upper() in _ON:
-            detail = f"offline by {name}: only what is in the cache"
-            return RequirementStatus("untried", detail, f"unset {name} to download")
-    return RequirementStatus("untried", "online, and not tried here")
-
-
-def _network(_: str) -> RequirementStatus:
-    return RequirementStatus("untried", "known only when it is used")
-
-
-def _never(reason: str) -> RequirementStatus:
-    return RequirementStatus("unmet", "cannot run anywhere", reason) if reason else RequirementStatus("met", "")
-
-
-def _argument(name: str) -> RequirementStatus:
-    hint = f"it needs an argument: make(…, {name}=…), or --set {name}=… of gem run"
-    return RequirementStatus("unmet", "is given to make", hint)
-
-
-# A table rather than records of the core's own: `make` looks here in every worker process, which then need not load
-# the installed plugins.
-_CORE: dict[str, Callable[[str], RequirementStatus]] = {
-    "hub": _hub,
-    "network": _network,
-    "key": _key,
-    "package": _package,
-    "command": _command,
-    "never": _never,
-    "argument": _argument,
-}

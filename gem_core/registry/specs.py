@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any, ClassVar, Literal, get_args
 
 from gem_core.errors import RegistrationError
@@ -80,16 +79,17 @@ class EnvSpec:
             raise RegistrationError(f"{self.id}: max_turns must be a positive whole number, not {self.max_turns!r}")
         if not isinstance(self.deterministic, bool):
             raise RegistrationError(f"{self.id}: deterministic must be True or False, not {self.deterministic!r}")
-        object.__setattr__(self, "kwargs", MappingProxyType(dict(self.kwargs)))
-        object.__setattr__(self, "tags", _check_words(self.id, "tags", self.tags))
-        object.__setattr__(self, "requires", _check_words(self.id, "requires", self.requires))
-        object.__setattr__(self, "seats", _check_words(self.id, "seats", self.seats))
-        object.__setattr__(self, "folder_markers", _check_words(self.id, "folder_markers", self.folder_markers))
+        object.__setattr__(self, "kwargs", dict(self.kwargs))
+        for name in ("tags", "requires", "seats", "folder_markers"):
+            words = getattr(self, name)
+            if not isinstance(words, tuple | list) or not all(isinstance(word, str) for word in words):
+                raise RegistrationError(f"{self.id}: {name} must be a tuple of strings, not {words!r}")
+            object.__setattr__(self, name, tuple(words))
         if not all(_FILE_NAME.fullmatch(marker) for marker in self.folder_markers):
             raise RegistrationError(f"{self.id}: folder_markers must be names of files, not {self.folder_markers!r}")
         if not isinstance(self.folder_keyword, str) or not self.folder_keyword.isidentifier():
             raise RegistrationError(f"{self.id}: folder_keyword must name an argument, not {self.folder_keyword!r}")
-        object.__setattr__(self, "summary", _check_summary(self.id, self.summary))
+        _check_summary(self.id, self.summary)
 
     @property
     def namespace(self) -> str:
@@ -113,14 +113,6 @@ class EnvSpec:
         own = self.kwargs.get("max_turns")
         limits = [limit for limit in (own, self.max_turns) if isinstance(limit, int)]
         return min(limits, default=None)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # A mapping proxy cannot be pickled; the constructor wraps it again.
-        return _rebuild_env_spec, ({**self.__dict__, "kwargs": dict(self.kwargs)},)
-
-
-def _rebuild_env_spec(fields: dict[str, Any]) -> EnvSpec:
-    return EnvSpec(**fields)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +141,7 @@ class NamedSpec:
                 f"{self.kind} name {self.name!r} must be lower case ASCII letters, digits and '_.-', as in 'python'"
             )
         _check_entry_point(f"{self.kind} {self.name}", self.entry_point)
-        object.__setattr__(self, "summary", _check_summary(self.name, self.summary))
+        _check_summary(self.name, self.summary)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,13 +256,6 @@ def _check_entry_point(owner: str, entry_point: object, what: str = "entry_point
     )
 
 
-def _check_words(owner: str, what: str, words: object) -> tuple[str, ...]:
-    if isinstance(words, str) or not isinstance(words, (tuple, list)) or not all(isinstance(w, str) for w in words):
-        raise RegistrationError(f"{owner}: {what} must be a tuple of strings, not {words!r}")
-    return tuple(words)
-
-
-def _check_summary(owner: str, summary: object) -> str:
+def _check_summary(owner: str, summary: object) -> None:
     if not isinstance(summary, str) or "\n" in summary:
         raise RegistrationError(f"{owner}: summary must be one line of text, not {summary!r}")
-    return summary

@@ -99,7 +99,7 @@ class VectorSetup:
         distinct = [entry for place, entry in enumerate(entries) if entry not in entries[:place]]
         setup = cls([env_id for env_id, _ in own], [kwargs for _, kwargs in own], distinct, **options)
         for env_id, kwargs in distinct:
-            record = registry().env(env_id)
+            record = setup.records[env_id] = registry().env(env_id)
             arguments, own_wrappers = _split({**setup.kwargs, **kwargs})
             check_choices(record, arguments, setup.wrappers, own_wrappers)
         return setup
