@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
-from typing import Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from gem_core.env.observations import is_messages, join_observations, observation_from
 from gem_core.records.plain_json import to_plain
-from gem_core.types import TERMINAL_STATE, Info, Observation, Response
+from gem_core.types import TERMINAL_STATE, Info, Observation
+
+if TYPE_CHECKING:
+    from gem_core.records.episode import Episode
 
 ChatMessage = dict[str, Any]
 
@@ -116,29 +119,6 @@ class History:
         return [dict(message) for message in chat]
 
 
-class Turned(Protocol):
-    """The attributes of a transition that the conversation uses."""
-
-    observation: Observation
-    action: Response
-    info: Info
-
-
-class Recorded(Protocol):
-    """The attributes of an ``Episode`` that the conversation uses."""
-
-    observation: Observation
-    info: Info
-    final_observation: Observation
-    reads: str | None
-    system: str | None
-    native_tools: bool
-
-    @property
-    def transitions(self) -> Sequence[Turned]:
-        """The turns so far, oldest first."""
-
-
 class Conversation:
     """The history of an episode so far, whatever its view: built from its record, each turn when it is needed.
 
@@ -148,7 +128,7 @@ class Conversation:
     ``system`` is the text of the system message, None without one.
     """
 
-    def __init__(self, episode: Recorded) -> None:
+    def __init__(self, episode: Episode) -> None:
         self._episode = episode
         # Records of earlier versions do not say what was sent; they may have had a view.
         self._viewed = "view" in episode.info or episode.reads is None

@@ -218,17 +218,20 @@ def interleaved(parts: Sequence[Sequence[PlanItem]]) -> Sequence[PlanItem]:
     """Return a plan that takes the items of several in turn, until each is exhausted."""
     if len(parts) == 1:
         return parts[0]
+    stretches: list[tuple[int, int, list[Sequence[PlanItem]]]] = []
+    """Where one begins, the row of its first items, and the parts that have it."""
+    first = row = 0
+    for end in sorted(set(map(len, parts))):
+        present = [part for part in parts if len(part) > row]
+        stretches.append((first, row, present))
+        first, row = first + (end - row) * len(present), end
 
     def item(place: int) -> PlanItem:
-        present, row = list(parts), 0
-        while True:  # from one row to the next at which a part is exhausted
-            end = min(map(len, present))
-            if place < (end - row) * len(present):
-                return present[place % len(present)][row + place // len(present)]
-            place -= (end - row) * len(present)
-            present, row = [part for part in present if len(part) > end], end
+        first, row, present = next(each for each in reversed(stretches) if each[0] <= place)
+        rows, part = divmod(place - first, len(present))
+        return present[part][row + rows]
 
-    return LazyPlan(sum(map(len, parts)), item)
+    return LazyPlan(first, item)
 
 
 def count_plan(

@@ -261,7 +261,6 @@ def _episodes(options: _Options) -> Iterator[Record]:
         is_plain = not any(map(is_asynchronous, options.agents))
         run = Run(vector, queue, options.players, options.max_requests, door.here, is_plain)
         at_end.callback(lambda: door.run(run.stop()))
-        door.run(run.begin())
         while (episode := door.run(run.next_record())) is not None:
             count()
             yield episode
@@ -289,7 +288,6 @@ async def _episodes_async(options: _Options) -> AsyncGenerator[Record]:
         count = options.counting(at_end, queue, len(finished))
         run = Run(vector, queue, options.players, options.max_requests, _soon, is_plain=False)
         at_end.push_async_callback(run.stop)
-        await run.begin()
         while (episode := await run.next_record()) is not None:
             count()
             yield episode

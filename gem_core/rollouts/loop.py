@@ -181,7 +181,7 @@ class Run:
         """Finished episodes that the caller has not taken; None when all slots are done."""
         self._tasks: list[asyncio.Task[None]] = []
 
-    async def begin(self) -> None:
+    async def _begin(self) -> None:
         """Begin to play in all slots."""
         await self.vector.begin_rollout()
         self._tasks = [asyncio.create_task(play_slot(self, slot)) for slot in self.vector.slots]
@@ -196,10 +196,13 @@ class Run:
 
         An error that stops the run is raised after the episodes that finished before it.
         """
+        if self._tasks:
+            self.room.release()
+        else:
+            await self._begin()
         record = await self.finished.get()
         if record is None:
             await self._ended
-        self.room.release()
         return record
 
     async def stop(self) -> None:
