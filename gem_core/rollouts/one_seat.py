@@ -19,10 +19,10 @@ from gem_core.failures import author_frames, failure_info
 from gem_core.making.environment import make_from
 from gem_core.records.plans import EpisodeStart, PlanItem
 from gem_core.registry.lookup import registry
-from gem_core.rollouts.agent import Agent, close_agent, is_asynchronous, load_agent
+from gem_core.rollouts.agent import Agent, close_agent, is_asynchronous
 from gem_core.rollouts.seat import RunningSeat, new_episode
 from gem_core.rollouts.seating import Seated, seated
-from gem_core.types import Concurrency, Info, ResetResult, Response, StepResult
+from gem_core.types import Concurrency, ResetResult, Response, StepResult
 
 _MOST_DEALS = 10
 
@@ -76,7 +76,7 @@ class SingleAgentEnv(SeatEnv):
         if type(max_other_turns) is not int or max_other_turns < 1:
             raise ArgumentError(f"max_other_turns must be a positive whole number, not {max_other_turns!r}")
         made: Any = make_from(registry().env(env), kwargs) if isinstance(env, str) else env
-        self._loaded: dict[str, Agent] = {}
+        self._loaded: list[Agent] = []
         try:
             if not isinstance(made, MultiAgentEnv):
                 raise ArgumentError(f"single_agent takes an environment of several agents, or its id, not {env!r:.100}")
@@ -86,7 +86,8 @@ class SingleAgentEnv(SeatEnv):
             if made is not env:
                 made.close()
             raise
-        self._asynchronous = any(is_asynchronous(player) for players in self._players.values() for player in players)
+        self._agents = list({id(one.agent): one.agent for each in self._players.values() for one in each}.values())
+        self._asynchronous = any(map(is_asynchronous, self._agents))
         self.max_other_turns = max_other_turns
         self._prepared = False
         self._live = False
@@ -99,7 +100,7 @@ class SingleAgentEnv(SeatEnv):
         self._reward = 0.0
         """What the seat earned and has not been given."""
 
-    shared_by_forks = ("_players",)
+    shared_by_forks = ("_players", "_agents")
 
     @property
     def concurrency(self) -> Concurrency:  # type: ignore[override]  # of this instance
@@ -112,25 +113,14 @@ class SingleAgentEnv(SeatEnv):
         Raises:
             EnvFaultError: Another agent failed, or the turn of the seat never came.
         """
-        return (run_sync if self._asynchronous else run_without_loop)(self._reset(seed, options))
+        return (run_sync if self._asynchronous else run_without_loop)(self.reset_async(seed, options))
 
     def step(self, action: str) -> StepResult:
         """Answer a response of the seat, and let the others act until it is its turn again."""
-        return (run_sync if self._asynchronous else run_without_loop)(self._step(action))
+        return (run_sync if self._asynchronous else run_without_loop)(self.step_async(action))
 
     async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
-        """``reset`` for code that runs in an event loop, without blocking it."""
-        if self.concurrency != "async":
-            return await super().reset_async(seed, options)
-        return await self._reset(seed, options)
-
-    async def step_async(self, action: str) -> StepResult:
-        """``step`` for code that runs in an event loop, without blocking it."""
-        if self.concurrency != "async":
-            return await super().step_async(action)
-        return await self._step(action)
-
-    async def _reset(self, seed: int | None, options: dict[str, Any] | None) -> ResetResult:
+        """``reset`` for code that runs in an event loop."""
         super().reset(seed=seed)
         self._live = False
         await self._prepare()
@@ -155,7 +145,8 @@ class SingleAgentEnv(SeatEnv):
                 return observation, info
         raise EnvFaultError(f"{self._name}: {_MOST_DEALS} games in a row were over before {self.seat!r} acted")
 
-    async def _step(self, action: str) -> StepResult:
+    async def step_async(self, action: str) -> StepResult:
+        """``step`` for code that runs in an event loop."""
         if not self._live:
             raise reset_needed(self)
         if not isinstance(action, str):
@@ -164,7 +155,9 @@ class SingleAgentEnv(SeatEnv):
             joint = await self._joint_step({self.seat: action})
             result = cast("StepResult", await self._until_own_turn(joint))
         except _OpponentError as error:
-            result = await self._failed(error)
+            observation, reward, _, _, info = result_of(await truncate_joint(self.env), self.seat)
+            info["error"] = failure_info("opponent", str(error), author_frames(error))
+            result = observation, self._take_reward(reward), False, True, info
         self._live = not (result[2] or result[3])
         return result
 
@@ -185,10 +178,11 @@ class SingleAgentEnv(SeatEnv):
                     self._note(agent, result_of(joint, agent))
             if self.seat in rewards:
                 observation, reward, terminated, truncated, info = result_of(joint, self.seat)
-                reward, self._reward = self._reward + reward, 0.0
-                if truncated:
-                    _pass_on_error(info, infos)
-                return observation, reward, terminated, truncated, info
+                faults = {agent: each["error"] for agent, each in infos.items() if each.get("error")}
+                if truncated and faults and "error" not in info:  # at another seat
+                    agent, error = next(iter(faults.items()))
+                    info["error"] = {"kind": "opponent", "message": f"{agent!r}: {_message_of(error)}"}
+                return observation, self._take_reward(reward), terminated, truncated, info
             if not observations:
                 return None
             if turn < self.max_other_turns:
@@ -211,7 +205,7 @@ class SingleAgentEnv(SeatEnv):
         start = EpisodeStart(PlanItem(), (seed,), 0, seed, seed)
         record = new_episode({"id": self._name, "kwargs": {}}, start, observation, info)
         record.seat, record.first_reward = agent, reward
-        self._running[agent] = RunningSeat(record, seated(self._player(agent)), partial(self._draw_for, agent))
+        self._running[agent] = RunningSeat(record, self._player(agent), partial(self._draw_for, agent))
 
     # Asking the others.
 
@@ -223,30 +217,28 @@ class SingleAgentEnv(SeatEnv):
         """
         running = self._running[agent]
         try:
-            answer: Any = self._player(agent)(running.conversation.sent(), running.context)
+            answer: Any = running.agent(running.conversation.sent(), running.context)
             return await running.read_answer(on_library_loop(answer) if inspect.isawaitable(answer) else answer)
         except (Exception, SystemExit) as error:
             problem = f"the agent at {agent!r} failed: {type(error).__name__}: {error}"
             raise _OpponentError(problem[:500]) from error
 
-    async def _failed(self, error: _OpponentError) -> StepResult:
-        """End an episode in which one of the others failed."""
-        observation, reward, _, _, info = result_of(await truncate_joint(self.env), self.seat)
+    def _take_reward(self, reward: float) -> float:
+        """Return a reward with what the seat earned before."""
         reward, self._reward = self._reward + reward, 0.0
-        info["error"] = failure_info("opponent", str(error), author_frames(error))
-        return observation, reward, False, True, info
+        return reward
 
     async def _prepare(self) -> None:
         """Prepare the other agents before the first episode."""
         if self._prepared:
             return
-        for player in dict.fromkeys(player for players in self._players.values() for player in players):
+        for player in self._agents:
             waited = getattr(player, "prepare", lambda: None)()
             if inspect.isawaitable(waited):
                 await on_library_loop(waited)
         self._prepared = True
 
-    def _players_of(self, others: Any) -> dict[str, list[Agent]]:
+    def _players_of(self, others: Any) -> dict[str, list[Seated]]:
         """Return the agents from which each other seat's is drawn."""
         rest = [agent for agent in self.env.possible_agents if agent != self.seat]
         if not isinstance(others, Mapping):
@@ -256,21 +248,16 @@ class SingleAgentEnv(SeatEnv):
         check_seats(others, rest)
         return {agent: self._candidates(others.get(agent, "random")) for agent in rest}
 
-    def _candidates(self, given: Any) -> list[Agent]:
-        if isinstance(given, list | tuple) and not isinstance(given, Seated):
-            if not given:
-                raise ArgumentError("others names no agent for a seat; give one, as 'random'")
-            return [self._as_agent(each) for each in given]
-        return [self._as_agent(given)]
+    def _candidates(self, given: Any) -> list[Seated]:
+        several = isinstance(given, list | tuple) and not isinstance(given, Seated)
+        if several and not given:
+            raise ArgumentError("others names no agent for a seat; give one, as 'random'")
+        names = given if several else [given]
+        found = list(map(seated, names))
+        self._loaded += [one.agent for name, one in zip(names, found, strict=True) if isinstance(name, str)]
+        return found
 
-    def _as_agent(self, given: Any) -> Agent:
-        if not isinstance(given, str):
-            return seated(given).agent
-        if given not in self._loaded:
-            self._loaded[given] = load_agent(given)
-        return self._loaded[given]
-
-    def _player(self, agent: str) -> Agent:
+    def _player(self, agent: str) -> Seated:
         """Return who plays another seat in this episode."""
         players = self._players[agent]
         return players[stable_hash(self.np_random_seed, "player", agent) % len(players)]
@@ -295,14 +282,14 @@ class SingleAgentEnv(SeatEnv):
     # State and the rest.
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        memo[id(self._loaded)] = {}  # a fork asks the same agents, and leaves it to the first one to close them
+        memo[id(self._loaded)] = []  # a fork asks the same agents, and leaves it to the first one to close them
         return super().__deepcopy__(memo)
 
     def close(self) -> None:
         """Close the environment, and the agents that were given by name."""
         with ExitStack() as closing:
             closing.callback(self.env.close)
-            for player in self._loaded.values():
+            for player in self._loaded:
                 closing.callback(close_agent, player)
 
     @property
@@ -312,13 +299,6 @@ class SingleAgentEnv(SeatEnv):
 
 single_agent = SingleAgentEnv
 """The way to make one."""
-
-
-def _pass_on_error(info: Info, infos: Mapping[str, Info]) -> None:
-    """Tell the seat of an error at another that ended the episode."""
-    for agent, other in infos.items():
-        if other.get("error") and "error" not in info:
-            info["error"] = {"kind": "opponent", "message": f"{agent!r}: {_message_of(other['error'])}"}
 
 
 def _message_of(error: object) -> object:
