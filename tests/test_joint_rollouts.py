@@ -414,15 +414,6 @@ def test_resumed_run_plays_what_is_left(tmp_path: Path) -> None:
     assert sorted(rest, key=lambda joint: joint.key) == sorted(whole[2:], key=lambda joint: joint.key)
 
 
-def test_agents_change_seats_in_each_of_several_environments() -> None:
-    """Environments that take turns in the plan give no agent only the first seat of one of them."""
-    gem.register("jointroll:Again-v0", CountdownEnv, seats=("first", "second"))
-    agents = [Seated("x", take_one), Seated("y", take_one)]
-    ids = ["jointroll:Countdown-v0", "jointroll:Again-v0"]
-    seen = Counter((joint.id, joint.agents["first"]) for joint in rollout(ids, agents=agents, episodes=4, seed=0))
-    assert seen == {(env_id, name): 2 for env_id in ids for name in "xy"}
-
-
 def test_summary_has_a_row_for_each_seat_and_agent() -> None:
     """Scores are counted by agent and seat, and for each agent that changed seats; no total mixes the sides."""
     summary = RunSummary(["CountdownEnv"])

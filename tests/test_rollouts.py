@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -23,7 +22,6 @@ from gem_core.errors import (
     FaultBudgetError,
     RequestError,
 )
-from gem_core.records.files import read_episodes, write_episodes
 from gem_core.records.plans import PlanItem, group_plan
 from gem_core.rollouts.agent import Context, as_agent, close_agent
 from gem_core.tools.env import ToolEnv
@@ -39,12 +37,14 @@ def by_key(episodes: Iterator[gem.Episode]) -> list[gem.Episode]:
 @settings(deadline=None, max_examples=20)
 @given(num_envs=st.integers(1, 9), seed=st.integers(0, 2**53))
 def test_the_same_seed_gives_the_same_episodes_whatever_the_number_of_slots(num_envs: int, seed: int) -> None:
-    """Ids, seeds, observations, actions and rewards, and the faults too."""
+    """Ids, seeds, observations, actions and rewards; another seed gives others."""
     ids = [COUNTDOWN, SUMS]
     alone = by_key(gem.rollout(gem.make_vec(ids, 2, seed=seed), sampling_agent, episodes=6))
     among = gem.make_vec(ids, num_envs, seed=seed)
     assert by_key(gem.rollout(among, sampling_agent, episodes=6)) == alone
     assert len(alone) == 12
+    assert by_key(gem.rollout(gem.make_vec(ids, 2, seed=seed + 1), sampling_agent, episodes=6)) != alone
+    assert alone[0].versions["gem-core"] == gem.__version__
 
 
 def test_an_episode_is_replayed_from_its_record() -> None:
@@ -105,22 +105,6 @@ def test_tools_are_in_the_context_and_the_record() -> None:
     (episode,) = gem.rollout(env, lambda _, context: context.tools[0]["function"]["name"], episodes=1, seed=0)
     assert episode.tools == ["note"]
     assert {str(turn.action) for turn in episode.transitions} == {"note"}
-
-
-def test_asynchronous_agents_answer_all_slots_at_once() -> None:
-    """Every slot has asked before the first answer has to come."""
-    waiting: set[str] = set()
-    all_there = asyncio.Event()
-
-    async def agent(observation: gem.Observation, context: Context) -> str:
-        waiting.add(context.episode)
-        if len(waiting) == 5:
-            all_there.set()
-        await all_there.wait()
-        return "a"
-
-    vector = gem.make_vec(COUNTDOWN, 5, seed=0)
-    assert len(list(gem.rollout(vector, agent, episodes=5))) == 5
 
 
 def test_a_slow_answer_holds_up_only_its_own_slot() -> None:
@@ -188,7 +172,7 @@ def test_a_server_that_never_answers_stops_the_run() -> None:
     def agent(observation: gem.Observation) -> str:
         raise RequestError("the server is down")
 
-    with pytest.raises(FaultBudgetError, match=r"the server is down\. It is the agent that fails"):
+    with pytest.raises(FaultBudgetError, match=r"the server is down.*agent that fails"):
         list(gem.rollout(COUNTDOWN, agent, episodes=100, seed=0))
 
 
@@ -242,47 +226,19 @@ def test_failed_resets_and_steps_are_episodes_with_an_error() -> None:
     assert all(episode.success is None for episode in episodes if episode.error)
 
 
-def test_episodes_come_as_they_finish_and_the_rest_can_be_left() -> None:
-    """The first is there before the second begins in a run of one slot; leaving closes what was made here."""
-    stepped: list[str] = []
-
-    def agent(observation: gem.Observation, context: Context) -> str:
-        stepped.append(context.episode)
-        return "a"
-
-    run = gem.rollout(COUNTDOWN, agent, episodes=100, seed=0)
-    next(run)
-    assert set(stepped) == {"0.0"}
-    run.close()  # type: ignore[attr-defined]  # it is a generator
-
-
-def test_records_are_written_and_read_back(tmp_path: Path) -> None:
-    """A run survives its file."""
-    episodes = list(gem.rollout([COUNTDOWN, SUMS], sampling_agent, episodes=4, seed=3))
-    write_episodes(tmp_path / "run.jsonl", episodes)
-    assert list(read_episodes(tmp_path / "run.jsonl")) == episodes
-    assert episodes[0].versions["gem-core"] == gem.__version__
-
-
-def test_a_response_that_was_cut_off_is_stepped_as_it_is_and_flagged() -> None:
-    """The record shows why it ended."""
-    (episode,) = gem.rollout(COUNTDOWN, lambda _: gem.Response("a", finish_reason="length"), episodes=1, seed=0)
-    assert all(turn.action.cut_off for turn in episode.transitions)
-
-
 def test_plan_and_episodes_together_are_refused() -> None:
     """Before anything runs."""
-    with pytest.raises(ArgumentError, match="either a plan or a number of episodes"):
+    with pytest.raises(ArgumentError, match="plan"):
         gem.rollout(COUNTDOWN, sampling_agent, plan=[], episodes=3)
-    with pytest.raises(ArgumentError, match="episodes must be a whole number from 0 up"):
+    with pytest.raises(ArgumentError, match="-1"):
         gem.rollout(COUNTDOWN, sampling_agent, episodes=-1)
 
 
 def test_what_is_no_environment_is_refused() -> None:
     """The message says what is one."""
-    with pytest.raises(ArgumentError, match="rollout takes a vector environment, an environment, an id or several"):
+    with pytest.raises(ArgumentError, match="not None"):
         list(gem.rollout(None, lambda observation: "", episodes=1))  # type: ignore[arg-type]  # that is the point
-    with pytest.raises(ArgumentError, match=r"Env is not an environment of GEM; derive its class from gem_core\.Env"):
+    with pytest.raises(ArgumentError, match=r"gem_core\.Env"):
         list(gem.rollout(gymnasium.Env(), lambda observation: "", episodes=1))
 
 
@@ -297,30 +253,6 @@ def test_what_cannot_be_called_as_an_agent_is_refused(agent: Any) -> None:
     """The error says how an agent is called."""
     with pytest.raises(AgentError, match="an agent"):
         as_agent(agent)
-
-
-def test_failing_asynchronous_agent_leaves_no_request_behind() -> None:
-    """The answers that others still wait for are cancelled before the error is raised."""
-    ended: list[str] = []
-    waiting: list[str] = []
-    both = asyncio.Event()
-
-    async def agent(observation: gem.Observation, context: Context) -> str:
-        if context.episode == "0.0":
-            await both.wait()
-            raise ValueError("the server is gone")
-        waiting.append(context.episode)
-        if len(waiting) == 2:
-            both.set()
-        try:
-            await asyncio.Event().wait()
-        finally:
-            ended.append(context.episode)
-        return "never"
-
-    with pytest.raises(ValueError, match="the server is gone"):
-        list(gem.rollout(gem.make_vec(COUNTDOWN, 3, seed=0), agent, episodes=3))
-    assert sorted(ended) == ["1.0", "2.0"]
 
 
 def test_environment_that_was_given_stays_open_and_its_replacement_does_not() -> None:
@@ -372,17 +304,6 @@ def test_option_of_an_agent_is_not_its_context() -> None:
     assert given == [0.7, Context]
 
 
-def test_what_was_made_for_the_run_is_closed_and_what_was_given_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever makes a vector environment closes it."""
-    closed: list[str] = []
-    close = gem.VectorEnv.close
-    monkeypatch.setattr(gem.VectorEnv, "close", lambda self: (closed.append("closed"), close(self))[1])
-    list(gem.rollout(gem.make_vec(COUNTDOWN, 1), sampling_agent, episodes=1))
-    assert closed == []
-    list(gem.rollout(COUNTDOWN, sampling_agent, episodes=1))
-    assert closed == ["closed"]
-
-
 def test_a_run_collected_on_the_library_loop_closes_what_it_made(monkeypatch: pytest.MonkeyPatch) -> None:
     """The garbage collector runs in any thread."""
     closed = threading.Event()
@@ -401,5 +322,5 @@ def test_a_run_collected_on_the_library_loop_closes_what_it_made(monkeypatch: py
 def test_an_agent_may_be_given_by_name() -> None:
     """As in ``gem run``; a name that nobody has is an error that lists those there are."""
     assert all(episode.error is None for episode in gem.rollout(COUNTDOWN, "random", episodes=2, seed=1))
-    with pytest.raises(gem.errors.UnknownAgentError, match=r"^no agent 'randon'\. Did you mean 'random'\?"):
+    with pytest.raises(gem.errors.UnknownAgentError, match="Did you mean 'random'"):
         gem.rollout(COUNTDOWN, "randon", episodes=2)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import json
 import shlex
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -128,14 +127,6 @@ def test_agents_without_seats_change_them(run_gem: RunGem) -> None:
     assert won["success_rate"] == (won["mean_return"] + 1) / 2
 
 
-def test_agents_change_seats_in_each_environment(run_gem: RunGem) -> None:
-    """With several ids none is left with the same agent at its first seat."""
-    gem.register("seats:Again-v0", "joint_toys:CountdownEnv", seats=("first", "second"))
-    listed = ["--agent", "seat_agents:one", "--agent", "random"]
-    run_gem("run", HEAP, "seats:Again-v0", "-n", "2", *listed, "-o", "a.jsonl")
-    assert set(Counter((joint.id, joint.agents["first"]) for joint in played("a.jsonl")).values()) == {1}
-
-
 def test_each_agent_is_made_and_closed_once(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where it has several seats; it gets the options that it takes, and one that takes none is given none."""
     monkeypatch.syspath_prepend(".")
@@ -145,13 +136,6 @@ def test_each_agent_is_made_and_closed_once(run_gem: RunGem, monkeypatch: pytest
     assert calls[0] == 0.5
     assert set(calls[1:-1]) == {"prepare"}
     assert calls[-1] == "close"
-
-
-def test_wrappers_go_around_every_seat(run_gem: RunGem) -> None:
-    """A view shows each seat its own turns."""
-    run_gem("run", HEAP, "-n", "1", "-s", "1", "-w", "concat", "-o", "a.jsonl")
-    (joint,) = played("a.jsonl")
-    assert [len(str(turn.observation).splitlines()) for turn in joint.seats["first"].transitions] == [1, 2, 3]
 
 
 def test_wrappers_and_tools_of_one_seat(run_gem: RunGem, offer: Callable[..., None]) -> None:
