@@ -143,16 +143,16 @@ def test_league_draws_opponents_for_each_item() -> None:
     assert counts["weak"] < counts["latest"] + counts["step-100"]
 
 
-def test_league_refuses_unusable_weights() -> None:
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [({"weights": {"b": 1}}, "'b'.*'a'"), ({"weights": {"a": -1}}, "'a'.*-1"), ({"weights": {"a": 0}}, "above 0")],
+)
+def test_league_refuses_unusable_weights(options: dict[str, Any], told: str) -> None:
     """A weight that is negative or of nobody is an error, and so is a pool that nobody can be drawn from."""
-    with pytest.raises(ArgumentError, match=r"^weights names 'b', and the opponents are 'a'$"):
-        League(take_one, {"a": take_one}, weights={"b": 1})
-    with pytest.raises(ArgumentError, match=r"^the weight of 'a' must be a number from 0 up, not -1$"):
-        League(take_one, {"a": take_one}, weights={"a": -1})
-    with pytest.raises(ArgumentError, match=r"^a league needs an opponent whose weight is above 0"):
-        League(take_one, latest=0)
+    with pytest.raises(ArgumentError, match=told):
+        League(take_one, {"a": take_one}, latest=0, **options)
     league = League(take_one, {"a": take_one}, latest=0)
-    with pytest.raises(ArgumentError, match=r"^a league needs an opponent whose weight is above 0"):
+    with pytest.raises(ArgumentError, match="above 0"):
         league.add("a", take_one, weight=0)
 
 
@@ -322,45 +322,39 @@ def test_agents_given_by_name_are_closed(many: Any) -> None:
     before, made = ClosedAgent.closed, len(agents) if isinstance(agents, list) else 1
     if isinstance(agents, dict):
         agents["first"] = ClosedAgent()
-    list(rollout(CountdownEnv(), agents=agents, episodes=1, seed=0))
-    assert ClosedAgent.closed == before + made
 
     async def run() -> None:
         async for _ in arollout(CountdownEnv(), agents=agents, episodes=1, seed=0):
             pass
 
+    list(rollout(CountdownEnv(), agents=agents, episodes=1, seed=0))
     asyncio.run(run())
     assert ClosedAgent.closed == before + 2 * made
 
 
-def test_wrong_agents_are_refused() -> None:
-    """Agents that do not fit the seats are errors that name the seats."""
-    for agents, message in [
-        ({"first": take_one}, "the seats are 'first', 'second', and agents are given for 'first'"),
-        ([take_one] * 3, "the 2 seats are 'first', 'second', and 3 agents are given"),
-        ({}, "agents names no agent; give {seat: agent}, a list of agents, or one for all seats"),
-    ]:
-        with pytest.raises(ArgumentError) as caught:
-            list(rollout(CountdownEnv(), agents=agents, episodes=1))
-        assert str(caught.value) == message
-    with pytest.raises(ArgumentError, match=r"^CountdownEnv has several seats, 'first', 'second': give agents="):
+@pytest.mark.parametrize(
+    ("agents", "told"),
+    [
+        ({"first": take_one}, "'first', 'second'.*'first'"),
+        ([take_one] * 3, "'first', 'second'.*3"),
+        ({}, "no agent"),
+        ([1, 2], "callable"),
+    ],
+)
+def test_agents_that_do_not_fit_the_seats_are_refused(agents: Any, told: str) -> None:
+    """The error names the seats."""
+    with pytest.raises((ArgumentError, AgentError), match=told):
+        list(rollout(CountdownEnv(), agents=agents, episodes=1))
+
+
+def test_one_agent_goes_with_one_seat_and_several_with_several() -> None:
+    """The error says which argument is meant."""
+    with pytest.raises(ArgumentError, match="'first', 'second': give agents="):
         list(rollout(CountdownEnv(), take_one, episodes=1))
-    with pytest.raises(AgentError, match=r"^an agent is a callable"):
-        list(rollout(CountdownEnv(), agents=[1, 2], episodes=1))
-    with pytest.raises(ArgumentError, match=r"^give either agent, for one agent, or agents, for several$"):
+    with pytest.raises(ArgumentError, match="give agent, not agents"):
+        list(rollout("toy:Countdown-v0", agents=take_one, episodes=1))
+    with pytest.raises(ArgumentError, match="give either"):
         list(rollout(CountdownEnv(), None, episodes=1))
-
-
-def test_agents_for_an_environment_of_one_are_refused() -> None:
-    """``agents`` goes with several seats."""
-
-    class One(gem.Env):
-        def reset(self, seed: int | None = None, options: Any = None) -> Any:
-            super().reset(seed=seed)
-            return "?", {}
-
-    with pytest.raises(ArgumentError, match=r"^One is for one agent: give agent, not agents$"):
-        list(rollout(One(), agents=take_one, episodes=1))
 
 
 def test_records_survive_a_file(tmp_path: Path) -> None:
