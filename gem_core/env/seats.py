@@ -27,14 +27,10 @@ def reads_from_env(*names: str) -> Callable[[C], C]:
 
     def decorate(cls: C) -> C:
         for name in names:
-            setattr(cls, name, property(attrgetter(f"env.{name}"), _setter(name)))
+            setattr(cls, name, property(attrgetter(f"env.{name}")))
         return cls
 
     return decorate
-
-
-def _setter(name: str) -> Callable[[Any, Any], None]:
-    return lambda self, value: setattr(self.env, name, value)
 
 
 @reads_from_env("answer_fences", "answer_tags", "metadata", "render", "render_mode")

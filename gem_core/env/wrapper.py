@@ -155,11 +155,6 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         return cast("Env", self.env.unwrapped)
 
     @property
-    def env_id(self) -> str | None:
-        """The id that the environment was made by, or None."""
-        return self.unwrapped.env_id
-
-    @property
     def spec(self) -> Any:  # type: ignore[override]  # Gymnasium has a property, too
         """The ``MadeSpec`` of the environment, this wrapper included; None for one that ``make`` did not make."""
         inner: Any = self.env.spec
@@ -176,14 +171,6 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
             **positional,
             **{key: value for key, value in kwargs.items() if key != "env"},
         }
-
-    def sample_random_action(self) -> str:
-        """Return a valid response in the present state; see ``Env.sample_random_action``."""
-        return cast("str", self.env.get_wrapper_attr("sample_random_action")())
-
-    def gold_action(self) -> str | None:
-        """Return a response that solves the task from the present state; see ``Env.gold_action``."""
-        return cast("str | None", self.env.get_wrapper_attr("gold_action")())
 
     def __getattr__(self, name: str) -> Any:
         # Only names that the wrapper does not have come here. Private ones are never passed on, so that copying and
