@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import itertools
 import json
 import shutil
@@ -27,7 +26,7 @@ def find() -> str | None:
 class Page:
     """A page in a browser of its own."""
 
-    def __init__(self, url: str, *, width: int = 1440, height: int = 900, dark: bool = False) -> None:
+    def __init__(self, url: str) -> None:
         self._open = ExitStack()
         folder = self._open.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
         command = [str(find()), "--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0"]
@@ -48,9 +47,8 @@ class Page:
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Log"):
             self.call(f"{domain}.enable")
-        self.resize(width, height)
-        scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
-        self.call("Emulation.setEmulatedMedia", features=scheme)
+        size = {"width": 1440, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
         self.call("Page.navigate", url=url)
 
     def __enter__(self) -> Self:
@@ -82,10 +80,6 @@ class Page:
         """Wait until an expression is true; an exception is false, as there are while a page is loaded."""
         self._until(lambda: self.eval(f"(() => {{ try {{ return {script} }} catch {{ return false }} }})()"), script)
 
-    def resize(self, width: int, height: int) -> None:
-        """Change the size of the window."""
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
-
     def key(self, key: str) -> None:
         """Press a key."""
         text = {"text": key} if len(key) == 1 else {"text": "\r"} if key == "Enter" else {}
@@ -93,10 +87,6 @@ class Page:
         code = {"windowsVirtualKeyCode": codes[key]} if key in codes else {}
         self.call("Input.dispatchKeyEvent", type="keyDown", key=key, **text, **code)
         self.call("Input.dispatchKeyEvent", type="keyUp", key=key, **code)
-
-    def screenshot(self, path: str | Path) -> None:
-        """Save what the window shows."""
-        Path(path).write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
     @staticmethod
     def _until(condition: Any, name: str) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -80,22 +79,10 @@ def test_what_is_no_grade_is_an_error_and_never_0(played: Path, returned: Any) -
     assert found.tasks[0].new is None
 
 
-def test_an_episode_that_cannot_be_read_is_an_error_of_its_own(tmp_path: Path) -> None:
-    """The others are graded."""
-    run = write_index(tmp_path / "run", verdicts("10"))
-
-    async def later(episode: Episode) -> bool:
-        return True
-
-    for grader in (lambda episode: True, later):
-        found = gem_eval.score(run, grader, name="mine", overwrite=True)
-        assert [(each.error or "")[:11] for each in found.errors] == ["cannot read"] * 2
-
-
 def test_old_and_new_verdicts_are_compared(
     played: Path, episodes: list[Episode], monkeypatch: Any, tmp_path: Path
 ) -> None:
-    """Those that changed are listed with their numbers."""
+    """Those that changed are listed with their numbers; an episode that cannot be read is an error of its own."""
     (tmp_path / "graders.py").write_text("def odd(episode): return episode.turns % 2 == 1")
     monkeypatch.chdir(tmp_path)
     changed = [
@@ -103,13 +90,12 @@ def test_old_and_new_verdicts_are_compared(
         for number, episode in enumerate(episodes, start=1)
         if episode.success is not None and episode.success != (episode.turns % 2 == 1)
     ]
-    result = call(played, "--grader", "graders:odd", "--json")
-    told = json.loads(result.output)
+    told = json.loads(call(played, "--grader", "graders:odd", "--json").output)
     assert [each["episode"] for each in told["changed"]] == changed
     assert told["scores"][0]["changed"] == len(changed)
-    assert re.search(
-        rf"episode {changed[0]}: (passes|fails) now  {ID}/", call(played, "--grader", "graders:odd").output
-    )
+    assert f"episode {changed[0]}: " in call(played, "--grader", "graders:odd").output
+    run = write_index(tmp_path / "run", verdicts("10"))
+    assert len(gem_eval.score(run, lambda episode: True).errors) == 2
 
 
 def test_scores_go_on_after_an_interrupt_and_failures_are_tried_again(played: Path) -> None:
@@ -135,21 +121,13 @@ def test_scores_go_on_after_an_interrupt_and_failures_are_tried_again(played: Pa
     assert len(seen) == 4 + 4
 
 
-def test_a_grader_of_that_name_with_other_settings_is_refused(played: Path) -> None:
-    """Its scores would be mixed with those of the other."""
-    gem_eval.score(played, "env")
-    with pytest.raises(ArgumentError, match="holds the scores of another grader, or of one with other settings"):
-        gem_eval.score(played, "env", kwargs={"max_turns": 3})
-    assert gem_eval.score(played, "env", kwargs={"max_turns": 3}, overwrite=True).notes
-
-
 def test_the_environment_grades_again_without_the_agent(played: Path) -> None:
     """Replays that go as recorded change nothing; what goes another way is named."""
     result = call(played, "--grader", "env")
     assert (result.exit_code, "verdict" in result.output) == (0, False)
     assert {each.note for each in gem_eval.score(played, "env").graded.values()} == {None}
     output = call(played, "--grader", "env", "--set", "max_turns=2", "--name", "two").output
-    assert "6 replays went another way than recorded:\n  episode 1: not as recorded: the first observation" in output
+    assert "episode 1: not as recorded: the first observation" in output
 
 
 def test_runs_are_compared_by_scores(played: Path, tmp_path: Path) -> None:
@@ -157,7 +135,7 @@ def test_runs_are_compared_by_scores(played: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.jsonl"
     write_episodes(other, read_episodes(played))
     gem_eval.score(played, lambda episode: True, name="mine")
-    with pytest.raises(ArgumentError, match=r"other\.jsonl has no scores 'mine'"):
+    with pytest.raises(ArgumentError, match="'mine'"):
         gem_eval.compare(played, other, scores="mine")
     gem_eval.score(other, lambda episode: False, name="mine")
     found = gem_eval.compare(played, other, scores="mine")
@@ -207,16 +185,16 @@ def test_a_long_transcript_keeps_its_beginning_and_its_end() -> None:
     assert '{"left out": "' in question
 
 
-def test_graders_are_named(tmp_path: Path) -> None:
-    """What does not fit says so."""
-    with pytest.raises(ArgumentError, match="no grader 'nothing': give 'module:function', 'env' or 'openai:MODEL'"):
+def test_graders_that_do_not_fit_are_refused(played: Path) -> None:
+    """As those of that name with other settings, whose scores would be mixed."""
+    with pytest.raises(ArgumentError, match="module:function"):
         find_grader("nothing")
-    with pytest.raises(ArgumentError, match="a rubric, and options of a model, are for --grader openai:MODEL"):
+    with pytest.raises(ArgumentError, match="rubric"):
         find_grader("env", rubric="Be kind.")
-
-
-def test_a_judge_is_a_model_of_an_openai_server() -> None:
-    """With a rubric and options; its scores have a name that a file may have."""
+    gem_eval.score(played, "env")
+    with pytest.raises(ArgumentError, match="--overwrite"):
+        gem_eval.score(played, "env", kwargs={"max_turns": 3})
+    assert gem_eval.score(played, "env", kwargs={"max_turns": 3}, overwrite=True).notes
     pytest.importorskip("gem_openai")
     judge = find_grader("openai:gpt/5", rubric="Be kind.", options={"base_url": "http://localhost:1/v1"})
     assert (judge.name, judge.asynchronous, judge.described["rubric"]) == ("openai-gpt-5", True, "Be kind.")

@@ -84,29 +84,23 @@ def test_the_runs_are_listed_with_their_scores(client: TestClient) -> None:
         ("outcome=error", [3]),
         ("outcome=error&outcome=failure", [2, 3]),
         ("outcome=unscored", [4]),
-        ("outcome=cut%20off", []),
         ("model=one", [2, 4]),
         ("model=one&outcome=failure", [2]),
         ("id=chat:Talk-v0", [3]),
         ("reason=timeout", [3]),
-        ("text=TALK", [3]),
-        ("text=no%20answer", [3]),
+        ("text=no%20ANSWER", [3]),
         ("row=maze:Room-v0/7", [1, 2, 5]),
         ("return=>0.5", [1, 5]),
         ("return=>0.2, <0.5", [2]),
         ("turns=>=3", [1, 5]),
-        ("tokens=>100", [1, 2, 5]),
-        ("seconds=<2.5", [1, 2]),
-        ("cost=>0.02", [4, 5]),
+        ("tokens=>100&seconds=<2.5&cost=>=0.01", [2]),
         ("sort=return", [3, 4, 2, 1, 5]),
         ("sort=return&reverse=1", [1, 5, 2, 3, 4]),
-        ("sort=tokens", [1, 2, 5, 3, 4]),
         ("sort=tokens&reverse=1", [1, 2, 5, 3, 4]),
         ("sort=model", [2, 4, 1, 3, 5]),
         ("sort=outcome", [3, 2, 1, 5, 4]),
         ("reverse=1", [5, 4, 3, 2, 1]),
         ("start=1&count=2", [2, 3]),
-        ("start=9", []),
     ],
 )
 def test_the_table_is_filtered_sorted_and_cut(client: TestClient, parameters: str, expected: list[int]) -> None:
@@ -124,13 +118,10 @@ def test_several_runs_stand_in_one_table(client: TestClient) -> None:
     assert answer["choices"]["outcomes"][:3] == [["success", 3], ["failure", 2], ["split", 1]]
 
 
-@pytest.mark.parametrize("parameters", ["return=much", "start=-1", "run=third", "start=9999999999999999999"])
-def test_what_cannot_be_answered_is_refused_in_one_line(client: TestClient, parameters: str) -> None:
-    """And the server goes on."""
-    answer = client.get(f"/api/rows?{parameters}")
-    assert answer.status_code == 400
-    assert "\n" not in answer.text
-    assert client.get("/api/rows").status_code == 200
+def test_what_cannot_be_answered_is_refused_in_one_line(client: TestClient) -> None:
+    for parameters in ("return=much", "start=-1", "run=third", "start=9999999999999999999"):
+        answer = client.get(f"/api/rows?{parameters}")
+        assert (answer.status_code, "\n" in answer.text) == (400, False)
 
 
 def test_an_episode_is_sent_as_data(client: TestClient) -> None:
@@ -221,18 +212,6 @@ def test_transcripts_are_searched_as_a_stream(client: TestClient) -> None:
     assert len(client.get("/api/search?wanted=night&outcome=success").text.splitlines()) == 2
 
 
-def test_a_damaged_episode_is_an_answer(runs: Path) -> None:
-    """The others are shown."""
-    path = runs / "first" / "episodes.jsonl.zst"
-    content = bytearray(path.read_bytes())
-    content[20] ^= 0xFF
-    path.write_bytes(content)
-    client = TestClient(make_app(library_of(runs)), base_url="http://127.0.0.1")
-    answer = client.get("/api/episode?run=first&number=1")
-    assert (answer.status_code, "episode 1: it is no record" in answer.text) == (422, True)
-    assert client.get("/api/episode?run=first&number=2").status_code == 200
-
-
 def test_a_run_is_followed_as_it_grows_and_begins_anew(tmp_path: Path) -> None:
     """New rows, new scores, new runs in the folder, and another run in the place of one."""
     write_run(tmp_path / "run", [maze()], status="running", episodes=2)
@@ -264,25 +243,18 @@ def test_scores_of_a_run_that_has_ended_are_those_it_wrote(tmp_path: Path) -> No
     assert library_of(path).runs[0].summary["scores"][0]["id"] == "maze:Room-v0"
 
 
-def test_runs_of_one_name_are_apart(tmp_path: Path) -> None:
-    """Links name them by their folder as well."""
+def test_runs_are_found_and_told_apart(tmp_path: Path, runs: Path) -> None:
+    """By their folders if their names are the same; a damaged episode is refused, the others are not."""
     one, other = (write_run(tmp_path / folder / "run", [maze()]) for folder in ("a", "b"))
     assert [viewed.name for viewed in library_of(one, other).runs] == ["run", "b/run"]
-
-
-def test_where_there_is_no_run_it_says_what_one_is(tmp_path: Path) -> None:
-    """In one line."""
-    with pytest.raises(ArgumentError, match=r"there is no run in .*: give the folder of a run that 'gem eval' wrote"):
+    with pytest.raises(ArgumentError):
         Library([tmp_path])
-
-
-def test_a_port_that_is_taken_is_an_error(
-    runs: Path, serving: tuple[str, int], capsys: pytest.CaptureFixture[str]
-) -> None:
-    """In one line, that says what to do."""
-    with pytest.raises(SystemExit) as caught:
-        main(["view", str(runs), "--port", str(serving[1])])
-    assert (caught.value.code, capsys.readouterr().err.count("\n")) == (2, 1)
+    path = runs / "first" / "episodes.jsonl.zst"
+    content = bytearray(path.read_bytes())
+    content[20] ^= 0xFF
+    path.write_bytes(content)
+    client = TestClient(make_app(library_of(runs)), base_url="http://127.0.0.1")
+    assert [client.get(f"/api/episode?run=first&number={number}").status_code for number in (1, 2)] == [422, 200]
 
 
 @pytest.fixture
@@ -304,7 +276,10 @@ def serving(runs: Path) -> Iterator[tuple[str, int]]:
 
 
 def test_changes_are_told_as_they_happen(runs: Path, serving: tuple[str, int]) -> None:
-    """By server-sent events, each with the list of runs; the end of the server ends them."""
+    """By server-sent events, each with the list of runs; the end of the server ends them. A taken port is an error."""
+    with pytest.raises(SystemExit) as caught:
+        main(["view", str(runs), "--port", str(serving[1])])
+    assert caught.value.code == 2
     connection = http.client.HTTPConnection(*serving, timeout=30)
     connection.request("GET", "/api/events")
     answer = connection.getresponse()
