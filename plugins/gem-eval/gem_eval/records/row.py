@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields, replace
-from operator import itemgetter
 from typing import Any
 
 from gem_core import Episode
@@ -17,7 +16,6 @@ from gem_eval.turns import episodes_of, error_text, some_success
 _LONGEST_TEXT = 300
 
 
-# Not frozen: that would take five times as long to read an index.
 @dataclass(slots=True)
 class Row:
     """What the index says of one episode.
@@ -87,25 +85,22 @@ class Row:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the row as plain JSON, without what is as it is by default."""
-        record = {name: value for name in _FIELDS if (value := getattr(self, name)) != _DEFAULTS.get(name, MISSING)}
+        record = {name: value for name in _ALLOWED if (value := getattr(self, name)) != _DEFAULTS.get(name, MISSING)}
         return {**record, "episode_return": to_plain(self.episode_return)}
 
     @classmethod
-    def from_dict(cls, record: Any) -> Row:
-        """Return the row that ``to_dict`` wrote; fields of later versions are left out.
+    def from_line(cls, line: bytes) -> Row:
+        """Return the row that a line of the index holds; fields of later versions are left out.
 
         Raises:
             EpisodeFileError: It is no row.
         """
         try:
-            declared = return_range_of(record.get("return_range"))
-            values = _values_of({**_DEFAULTS, **record, "return_range": declared, "seats": None})
-        except (AttributeError, TypeError, KeyError) as error:
+            record = json.loads(line)
+            record["return_range"] = return_range_of(record.get("return_range"))
+            return cls(**_sound({name: value for name, value in record.items() if name in _ALLOWED}))
+        except (AttributeError, TypeError, ValueError, RecursionError) as error:
             raise EpisodeFileError(f"a line of the index is damaged ({error})") from error
-        # The rows of a run are of few combinations of types, which are looked at once.
-        if tuple(map(type, values)) not in _sound_types:
-            values = _checked(values)
-        return cls(*values)
 
     @classmethod
     def of(cls, record: Mapping[str, Any], number: int, offset: int, length: int) -> Row:
@@ -125,9 +120,9 @@ class Row:
         own = told if isinstance(told, Mapping) else {}
         try:
             row = cls.of_episode(episode, own, number, offset, length)
+            return cls(**_sound({name: getattr(row, name) for name in _ALLOWED}), seats=row.seats)
         except (AttributeError, TypeError, ArithmeticError) as error:
             raise EpisodeFileError(f"the record of an episode is damaged ({type(error).__name__}: {error})") from error
-        return cls(*_checked(_values_of({name: getattr(row, name) for name in _FIELDS})))
 
     @classmethod
     def of_episode(cls, episode: Record, own: Mapping[str, Any], number: int, offset: int, length: int) -> Row:
@@ -173,23 +168,15 @@ class Row:
         )
 
 
-_FIELDS = tuple(each.name for each in fields(Row))
 _DEFAULTS = {each.name: each.default for each in fields(Row) if each.default is not MISSING}
-_values_of = itemgetter(*_FIELDS)
-_TYPES = {
-    "int": (int,),
-    "str": (str,),
-    "bool": (bool,),
-    "float": (float, int),
-    "int | None": (int, type(None)),
-    "str | None": (str, type(None)),
-    "bool | None": (bool, type(None)),
-    "float | None": (float, int, type(None)),
-    "tuple[float, float] | None": (tuple, type(None)),
-    "dict[str, Row] | None": (dict, type(None)),
+_TYPES = {"int": (int,), "str": (str,), "bool": (bool,), "float": (float, int), "tuple[float, float]": (tuple,)}
+_ALLOWED = {
+    each.name: (*_TYPES[kind], *([type(None)] if optional else []))
+    for each in fields(Row)
+    for kind, optional, _ in [str(each.type).partition(" | None")]
+    if each.name != "seats"
 }
-_ALLOWED = tuple(_TYPES[str(each.type)] for each in fields(Row))
-_sound_types: set[tuple[type, ...]] = set()
+"""The types of each field of the index."""
 _MEASURED = ("cost", "seconds", "model_seconds", "finished", "cached")
 """What only the record says, under ``"evaluation"``."""
 
@@ -214,17 +201,15 @@ def _clipped(value: object) -> str:
     return text if len(text) <= _LONGEST_TEXT else text[: _LONGEST_TEXT - 1] + "…"
 
 
-def _checked(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return the values of a row, numbers that are not finite of their names; raise where one is of a wrong type."""
-    checked = []
-    for name, value, allowed in zip(_FIELDS, values, _ALLOWED, strict=True):
-        sound = value
-        if type(value) is str and float in allowed:
-            with suppress(ValueError):
-                sound = float(value)
-        if type(sound) not in allowed:
-            raise EpisodeFileError(f"a row is damaged: {name} is {value!r:.100}")
-        checked.append(sound)
-    if tuple(checked) == values:
-        _sound_types.add(tuple(map(type, values)))
-    return tuple(checked)
+def _sound(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the values of a row, with numbers in the place of their names, as "Infinity".
+
+    Raises:
+        EpisodeFileError: A value is of another type than its field.
+    """
+    for name, value in values.items():
+        if type(value) not in _ALLOWED[name]:
+            if type(value) is not str or float not in _ALLOWED[name]:
+                raise EpisodeFileError(f"a row is damaged: {name} is {value!r:.100}")
+            values[name] = float(value)
+    return values

@@ -24,8 +24,6 @@ RUN_FILE, EPISODES_FILE, INDEX_FILE, METRICS_FILE, IMAGES = (
     "images",
 )
 
-_LINES_AT_ONCE = 500
-
 _Read = TypeVar("_Read")
 
 _Line = tuple[int, int, bytes]
@@ -241,19 +239,11 @@ class Run:
         return ImageFolder(self.path / IMAGES) if self.is_folder else ImageFolder.beside(self.path)
 
     def _index_rows(self, lines: Iterator[_Line]) -> Iterator[Row]:
-        # To parse many lines as one list takes half the time.
-        while chunk := list(itertools.islice(lines, _LINES_AT_ONCE)):
+        for number, _, line in lines:
             try:
-                records = json.loads(b"[" + b",".join(line for _, _, line in chunk) + b"]")
-            except (ValueError, RecursionError):
-                records = []
-            if len(records) != len(chunk):
-                records = [_parsed(line) for _, _, line in chunk]
-            for (number, _, _), record in zip(chunk, records, strict=True):
-                try:
-                    yield Row.from_dict(record)
-                except EpisodeFileError as error:
-                    self.damage[number] = str(error)
+                yield Row.from_line(line)
+            except EpisodeFileError as error:
+                self.damage[number] = str(error)
 
     def _frame_rows(self) -> Iterator[Row]:
         """Yield the rows that the frames tell, where there is no index."""
@@ -329,13 +319,6 @@ def _lines(path: Path, number: int, offset: int, *, torn: bool = False) -> Itera
 def open_run(path: str | Path) -> Run:
     """Return a run to read: a folder that ``gem eval`` wrote, or a file that ``gem run`` wrote; see ``Run``."""
     return Run(path)
-
-
-def _parsed(line: bytes) -> Any:
-    try:
-        return json.loads(line)
-    except (ValueError, RecursionError):
-        return None
 
 
 def read_info(path: Path) -> dict[str, Any]:

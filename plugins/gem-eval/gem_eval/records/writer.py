@@ -119,8 +119,8 @@ class RunWriter:
         with (self.path / INDEX_FILE).open("rb") as file, (self.path / EPISODES_FILE).open("rb") as episodes:
             for line in file:
                 try:
-                    row = Row.from_dict(json.loads(line))
-                except (ValueError, RecursionError, EpisodeFileError):
+                    row = Row.from_line(line)
+                except EpisodeFileError:
                     break
                 if not line.endswith(b"\n") or row.offset < end or row.offset + row.length > size:
                     break
