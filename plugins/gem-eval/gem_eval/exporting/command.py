@@ -64,14 +64,13 @@ def command(runs: tuple[Path, ...], form: str, out: Path, texts: bool) -> None:
     opened = [open_run(path) for path in runs]
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        if form == "csv":
-            written = counted(write_csv(opened, out, texts=texts), "episode")
-        elif form == "parquet":
-            written = counted(write_parquet(opened, out, texts=texts), "episode")
+        if form == "inspect":
+            written = counted(_write_logs(opened, out), "log")
         elif form == "jsonl":
             written = counted(write_jsonl(opened, out), "episode")
         else:
-            written = counted(_write_logs(opened, out), "log")
+            write = write_csv if form == "csv" else write_parquet
+            written = counted(write(opened, out, texts=texts), "episode")
     except OSError as error:
         raise EpisodeFileError(f"cannot write {out}: {error.strerror or error}") from error
     click.echo(f"{written} written to {out}")

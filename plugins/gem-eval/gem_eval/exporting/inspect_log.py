@@ -98,7 +98,7 @@ def _header(part: Part) -> dict[str, Any]:
     ended = [row.finished for row in rows if row.finished is not None]
     began = [row.finished - (row.seconds or 0) for row in rows if row.finished is not None]
     started, completed = (_time(min(began)), _time(max(ended))) if ended else (_time(0), _time(0))
-    versions = info.get("versions")
+    versions = info["versions"] if isinstance(info.get("versions"), Mapping) else {}
     return {
         "version": 2,
         "status": {"running": "started", "finished": "success"}.get(info.get("status", "finished"), "cancelled"),
@@ -111,9 +111,7 @@ def _header(part: Part) -> dict[str, Any]:
             "dataset": {"name": part.id, "samples": len(samples), "sample_ids": samples, "shuffled": False},
             "model": part.model,
             "config": {"epochs": 1 + max((row.epoch for row in rows), default=0)},
-            "packages": {str(name): str(version) for name, version in versions.items()}
-            if isinstance(versions, Mapping)
-            else {},
+            "packages": {str(name): str(version) for name, version in versions.items()},
             "metadata": {"gem": info, "run": part.run.name},
         },
         "plan": {"name": "plan", "steps": [{"solver": "gem"}]},
@@ -176,9 +174,9 @@ def _sample(part: Part, row: Row, episode: Episode) -> dict[str, Any]:
 
 def _scores_of_sample(part: Part, row: Row, episode: Episode) -> dict[str, Any]:
     """Return the scores of an episode; none after an error, and none of success where the task never tells."""
-    scores: dict[str, Any] = {}
     if row.error is not None:
-        return scores
+        return {}
+    scores: dict[str, Any] = {}
     if row.success is not None and any(score.metric == "success" for score in part.scores):
         parsed = episode.final_info.get("parsed_action")
         answer = {"answer": parsed} if isinstance(parsed, str) else {}
@@ -220,21 +218,17 @@ def _usage(episode: Episode, row: Row) -> dict[str, Any]:
 
 
 def _detail(episode: Episode, group: str, name: str) -> int | None:
+    """Return the sum of a count that servers give in a group of details; None if none does."""
     groups = [(turn.action.usage or {}).get(group) for turn in episode.transitions]
     counts = [each.get(name) for each in groups if isinstance(each, Mapping)]
-    known = [count for count in counts if type(count) is int]
-    return sum(known) if known else None
+    return sum(known) if (known := [count for count in counts if type(count) is int]) else None
 
 
 def _usage_of_rows(part: Part) -> dict[str, Any]:
-    read, written, costs = (
-        [getattr(row, name) for row in part.rows if getattr(row, name) is not None]
-        for name in ("tokens_in", "tokens_out", "cost")
-    )
-    if not read and not written:
-        return {}
-    told = {"input_tokens": sum(read), "output_tokens": sum(written), "total_tokens": sum(read) + sum(written)}
-    return {part.model: {**told, "total_cost": math.fsum(costs) if costs else None}}
+    read, written = (sum(getattr(row, name) or 0 for row in part.rows) for name in ("tokens_in", "tokens_out"))
+    costs = [row.cost for row in part.rows if row.cost is not None]
+    told = {"input_tokens": read, "output_tokens": written, "total_tokens": read + written}
+    return {part.model: {**told, "total_cost": math.fsum(costs) if costs else None}} if read or written else {}
 
 
 def _summary(sample: Mapping[str, Any]) -> dict[str, Any]:

@@ -65,12 +65,9 @@ def _part(part: Any, image_url: ImageUrl) -> dict[str, Any]:
         return {"type": "text", "text": str(part.get("text", ""))}
     if isinstance(part, Mapping) and part.get("type") == "image":
         url = image_url(part.get("image"))
-        return {"type": "text", "text": "[an image that cannot be read]"} if url is None else _image(url)
+        unread = {"type": "text", "text": "[an image that cannot be read]"}
+        return unread if url is None else {"type": "image", "image": url}
     return {"type": "text", "text": part if isinstance(part, str) else json.dumps(part, default=repr)}
-
-
-def _image(url: str) -> dict[str, Any]:
-    return {"type": "image", "image": url}
 
 
 def as_parts(content: str | list[dict[str, Any]]) -> list[dict[str, Any]]:

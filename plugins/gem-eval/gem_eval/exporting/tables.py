@@ -54,8 +54,7 @@ def to_pandas(run: Run | str | Path, *more: Run | str | Path, texts: bool = Fals
         import pandas as pd
     except ModuleNotFoundError as error:
         raise MissingRequirementError("a DataFrame needs pandas: pip install 'gem-eval[pandas]'") from error
-    columns = _columns(list(map(opened, (run, *more))), texts)
-    types = _types(texts)
+    columns, types = _columns(list(map(opened, (run, *more))), texts), _types(texts)
     return pd.DataFrame({name: pd.array(values, dtype=_PANDAS_TYPES[types[name]]) for name, values in columns.items()})
 
 
@@ -74,14 +73,12 @@ def write_csv(runs: Sequence[Run], path: Path, *, texts: bool = False) -> int:
         EpisodeFileError: A run cannot be read.
         OSError: The file cannot be written.
     """
-    count = 0
-    with whole_file(path) as file, io.TextIOWrapper(file, "utf-8", errors="backslashreplace", newline="") as text:
+    columns = _columns(runs, texts)
+    with whole_file(path) as file, io.TextIOWrapper(file, "utf-8", newline="") as text:
         writer = csv.writer(text)
-        writer.writerow(_types(texts))
-        for record in _records(runs, texts):
-            writer.writerow(["" if value is None else _cell(value) for value in record])
-            count += 1
-    return count
+        writer.writerow(columns)
+        writer.writerows(map(_cell, record) for record in zip(*columns.values(), strict=True))
+    return len(columns["run"])
 
 
 def write_parquet(runs: Sequence[Run], path: Path, *, texts: bool = False) -> int:
@@ -115,20 +112,15 @@ def _types(texts: bool) -> dict[str, str]:
 
 
 def _columns(runs: Iterable[Run], texts: bool) -> dict[str, list[Any]]:
+    """Return the values of each column, a value for each episode."""
     columns: dict[str, list[Any]] = {name: [] for name in _types(texts)}
-    for record in _records(runs, texts):
-        for values, value in zip(columns.values(), record, strict=True):
-            values.append(_well_formed(value) if isinstance(value, str) else value)
-    return columns
-
-
-def _records(runs: Iterable[Run], texts: bool) -> Iterable[list[Any]]:
-    """Yield the values of each episode in the order of the columns."""
-    names = [name for name in _COLUMNS if name != "run"]
     for run in runs:
         read = ((row, _texts(episode)) for row, episode in run.episodes()) if texts else ((row, ()) for row in run.rows)
         for row, more in read:
-            yield [run.name, *(getattr(row, name) for name in names), *more]
+            own = [getattr(row, name) for name in _COLUMNS if name != "run"]
+            for values, value in zip(columns.values(), [run.name, *own, *more], strict=True):
+                values.append(_well_formed(value) if isinstance(value, str) else value)
+    return columns
 
 
 def _texts(episode: Episode) -> tuple[str, str | None]:
@@ -136,6 +128,7 @@ def _texts(episode: Episode) -> tuple[str, str | None]:
 
 
 def _cell(value: Any) -> Any:
+    """Return the value of a cell that no spreadsheet takes for a formula; None is written as an empty cell."""
     return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
 
 

@@ -44,12 +44,14 @@ class Distractor(Tool):
         return ToolResult(self._answer, info={"distractor": True})
 
 
+_TRANSLATED = {"text": "what to translate", "language": "the language wanted"}
+_SENT = {"recipient": "who gets it", "message": "what it says"}
 _DISTRACTORS = (
     ("weather", "Tells the weather forecast for a city.", {"city": "name of the city"}, "No forecast is available."),
     (
         "translate",
         "Translates a text into another language.",
-        {"text": "what to translate", "language": "the language wanted"},
+        _TRANSLATED,
         "No translation is available for this language.",
     ),
     ("calendar", "Lists the appointments of a day.", {"date": "the day, as 2024-05-31"}, "There are no appointments."),
@@ -63,7 +65,7 @@ _DISTRACTORS = (
     (
         "send_message",
         "Sends a short message to a colleague.",
-        {"recipient": "who gets it", "message": "what it says"},
+        _SENT,
         "The message is in the queue. Nobody has read it.",
     ),
     ("stock_price", "Tells the price of a share.", {"symbol": "its symbol"}, "The exchange is closed."),
