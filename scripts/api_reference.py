@@ -1,4 +1,4 @@
-"""Write the pages of docs/reference/ that describe packages: one for each package that has an ``__all__``.
+"""Write the pages of docs/reference/ that describe packages: one for each package that offers names.
 
     python scripts/api_reference.py
 
@@ -46,7 +46,7 @@ class Package(NamedTuple):
 
 
 def packages() -> Iterator[Package]:
-    """Yield each package with an ``__all__``, then the modules that are public as a whole."""
+    """Yield each package that offers names, then the modules that are public as a whole."""
     for root in [ROOT / "gem_core", *sorted(ROOT.glob("plugins/*/gem_*"))]:
         for path in sorted(root.rglob("__init__.py")):
             package = read_package(path, ".".join(path.parent.relative_to(root.parent).parts))
@@ -61,6 +61,12 @@ def read_package(path: Path, name: str) -> Package:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     summary = (ast.get_docstring(tree) or "").partition("\n\n")[0].replace("\n", " ")
     offered: list[str] = []
+    stub = path.with_suffix(".pyi")
+    if stub.exists():
+        imports = [
+            node for node in ast.parse(stub.read_text(encoding="utf-8")).body if isinstance(node, ast.ImportFrom)
+        ]
+        offered = sorted(each.name for node in imports for each in node.names)
     for node in tree.body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
             offered = ast.literal_eval(node.value)

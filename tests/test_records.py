@@ -98,14 +98,3 @@ def test_drawing_of_errors_is_the_hierarchy() -> None:
             drawn[name] = path[depth - 1] if depth else "Exception"
     real = {name: value.__bases__[0].__name__ for name, value in vars(errors).items() if isinstance(value, type)}
     assert drawn == real
-
-
-def test_every_public_name_has_a_home() -> None:
-    """__all__ and the table of homes name the same things."""
-    assert set(gem.__all__) - {"__version__"} == set(gem._MODULE_OF)
-
-
-def test_unknown_public_name_is_an_attribute_error() -> None:
-    """A name that the package does not have is an AttributeError that names the package."""
-    with pytest.raises(AttributeError, match=r"^module 'gem_core' has no attribute 'mak'$"):
-        _ = gem.mak  # type: ignore[attr-defined]

@@ -1,0 +1,3 @@
+"""The public names, which are imported on first use."""
+
+from .env import QAEnv as QAEnv
