@@ -15,7 +15,7 @@ WRONG = {
     "heavy_neighbour": "its entry point: there is no module 'gem_heavy_missing'",
     "heavy_import": "and nothing else. Seen: it imports numpy; import these in the module of the implementation",
     "prints": "It writes nothing to standard output. Seen: hello from a plugin",
-    "wrong_kwargs": "Every entry point can be imported, and takes its arguments. Seen: kwargs:One-v0: ",
+    "wrong_kwargs": "Every entry point can be imported, and takes its arguments. Seen: wrong_kwargs:One-v0: ",
 }
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from distributions import FIXTURES, install, python
+from distributions import ONE_MODULE, install, python
 
 from gem_core.registry import plugins
 
@@ -39,9 +39,9 @@ print(json.dumps({"plugins": plugins, "envs": envs, "heavy": heavy, "made": made
 
 @pytest.fixture(scope="session")
 def sites(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Every fixture, installed into a folder of its own."""
+    """Each distribution, installed into a folder of its own."""
     target = tmp_path_factory.mktemp("sites")
-    return {folder.name: install(folder.name, target) for folder in FIXTURES.iterdir() if folder.is_dir()}
+    return {case: install(case, target) for case in ["fine", *ONE_MODULE]}
 
 
 def report(paths: list[Path], ids: tuple[str, ...] = ("fine:One-v0",), **variables: str) -> dict[str, Any]:
@@ -74,24 +74,11 @@ BROKEN = {
 }
 
 
-ONLY_CHECKED = {"heavy_import", "prints", "wrong_kwargs", "dangling", "hangs"}
-"""They load, and what is wrong with them is for check_plugin to find: see test_check_plugin.py."""
-
-IN_CONFLICT = {"twice", "taken_id", "takes_core"}
-"""They load, and claim what is another's: see test_plugin_conflicts.py."""
-
-
 @pytest.fixture(scope="session")
 def all_broken(sites: dict[str, Path]) -> dict[str, Any]:
     """The report of one interpreter that sees every broken plugin, and the fine one."""
     ids = ("fine:One-v0", "raises:One-v0", "heavy:One-v0")
     return report([sites[case] for case in ["fine", "heavy_neighbour", *BROKEN]], ids)
-
-
-def test_every_fixture_is_used() -> None:
-    """No folder under plugin_fixtures is left without a test."""
-    others = {"fine", "heavy_neighbour", "toolbox", *ONLY_CHECKED}
-    assert {folder.name for folder in FIXTURES.iterdir() if folder.is_dir()} == {*BROKEN, *IN_CONFLICT, *others}
 
 
 @pytest.mark.parametrize("case", BROKEN)

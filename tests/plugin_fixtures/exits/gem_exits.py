@@ -1,5 +1,0 @@
-"""Exits while it is imported."""
-
-import sys
-
-sys.exit(3)

@@ -1,1 +1,0 @@
-"""Points to an attribute that is not there."""

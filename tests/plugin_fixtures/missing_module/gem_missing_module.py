@@ -1,1 +1,0 @@
-"""Points to a module that is not there."""

@@ -1,3 +1,0 @@
-"""Is no Python."""
-
-def broken(:
