@@ -126,8 +126,8 @@ class CallReader:
     # Asking the readers.
 
     @functools.cached_property
-    def _formats(self) -> list[_Format]:
-        return _formats()  # not before it is needed, since plugins are loaded for it
+    def _formats(self) -> list[CallFormatSpec]:
+        return registry().specs(CallFormatSpec)  # not before it is needed, since plugins are loaded for it
 
     def _first_visible(self, action: str, ignored: Sequence[tuple[int, int]], visible: str) -> ToolCall | None:
         """Return the first call that does not begin in an ignored part."""
@@ -145,7 +145,7 @@ class CallReader:
             if tool.text_parameter is None:
                 found.append(_object_in_tag(text, tool))
         for form in self._formats:
-            call = form.first_call(text, self._tools)
+            call = _first_of(form, text, self._tools)
             # What has the shape of an answer is no call where the answer is given beside it.
             if not (call and form.begins == "anything" and self._answered(visible[: call.start], visible[call.end :])):
                 found.append(call)
@@ -199,7 +199,7 @@ class CallReader:
         return found
 
     def _begins_with_call(self, content: str) -> bool:
-        begun = (form.begins == "calls" and form.opening.match(content) for form in self._formats)
+        begun = (form.begins == "calls" and re.match(form.opening, content) for form in self._formats)
         return content.startswith((CALL_OPEN, *self._tags)) or any(begun)
 
     def _answered(self, *texts: str) -> bool:
@@ -235,32 +235,19 @@ class CallReader:
 # The formats of plugins.
 
 
-class _Format:
-    def __init__(self, record: CallFormatSpec) -> None:
-        self.begins = record.begins
-        self.opening = re.compile(record.opening)
-        self._record = record
-
-    def first_call(self, text: str, tools: Tools) -> ToolCall | None:
-        for opening in itertools.islice(self.opening.finditer(text), _MOST_OPENINGS):
-            call: ToolCall | None = self._read(opening, tools)
-            if call is not None:
-                return call
-        return None
-
-    @functools.cached_property
-    def _read(self) -> Callable[..., Any]:
-        """The reader, which is imported when a response first has its opening."""
-        return load_entry_point(self._record.entry_point, f"{self._record.kind} {self._record.name!r}")
-
-
-def _formats() -> list[_Format]:
-    return [_Format(record) for record in registry().specs(CallFormatSpec)]
+def _first_of(form: CallFormatSpec, text: str, tools: Tools) -> ToolCall | None:
+    """Return the first call in a plugin's format, whose reader is not imported before a response has its opening."""
+    for opening in itertools.islice(re.finditer(form.opening, text), _MOST_OPENINGS):
+        read: Callable[..., ToolCall | None] = load_entry_point(form.entry_point, f"{form.kind} {form.name!r}")
+        call = read(opening, tools)
+        if call is not None:
+            return call
+    return None
 
 
 def format_calls(text: str, tools: Tools) -> list[ToolCall]:
     """Return the first call in JSON and in each format of plugins; one that cannot be read has an ``error``."""
-    found = [form.first_call(text, tools) for form in _formats() if form.begins != "anything"]
+    found = [_first_of(form, text, tools) for form in registry().specs(CallFormatSpec) if form.begins != "anything"]
     return [call for call in (*found, json_call(text, tools)) if call is not None]
 
 
