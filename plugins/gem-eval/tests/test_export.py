@@ -19,7 +19,7 @@ from click.testing import CliRunner
 from PIL import Image
 
 import gem_eval
-from gem_core.errors import ArgumentError, MissingRequirementError
+from gem_core.errors import ArgumentError
 from gem_core.records import write_episodes
 from gem_eval.exporting.command import command
 from gem_eval.records import RunWriter, open_run
@@ -78,13 +78,6 @@ def test_a_damaged_episode_is_left_out_and_counted(run: Path, tmp_path: Path, fo
         assert sum(name.startswith("samples/") for names in logs for name in names) == whole
     else:
         assert done.stdout.startswith(f"{whole} episodes")
-
-
-def test_without_pandas_the_command_to_install_it_is_named(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is an extra."""
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingRequirementError, match=r"pip install 'gem-eval\[pandas\]'"):
-        gem_eval.to_pandas(run)
 
 
 def test_csv_holds_numbers_as_numbers_and_no_formulas(tmp_path: Path) -> None:

@@ -72,21 +72,16 @@ def test_the_task_goes_on_as_without_them(name: str) -> None:
         assert boards[0] == boards[1]
 
 
-def test_a_seed_fixes_which_calls_fail() -> None:
-    """The same seed and actions give the same failures, and another seed gives others."""
-    env = Tool429(with_tools(), rate=0.5)
-    first, again, other = (played(env, seed, [CALL] * 20) for seed in (1, 1, 2))
+def test_a_seed_fixes_which_calls_fail_also_in_a_fork() -> None:
+    """About as many as the rate says; a fork has a counter of draws of its own, which its tools read."""
+    env = ToolTimeout(with_tools(), rate=0.25)
+    first, again, other = (played(env, seed, [CALL] * 200) for seed in (1, 1, 2))
     assert first == again
     assert first[1:] != other[1:]
-
-
-def test_a_fork_goes_on_with_the_same_failures() -> None:
-    """It has a counter of draws of its own, which its tools read."""
-    env = Tool429(with_tools(), rate=0.5)
-    played(env, 1, [CALL] * 3)
-    other = env.fork()
+    assert 30 < sum("did not answer within 30 s" in text for text in first) < 70
+    fork = env.fork()
     went_on = [env.step(CALL)[0] for _ in range(8)]
-    assert [other.step(CALL)[0] for _ in range(8)] == went_on
+    assert [fork.step(CALL)[0] for _ in range(8)] == went_on
 
 
 @pytest.mark.parametrize("tool", [Notebook, SlowNotebook])
@@ -95,10 +90,8 @@ def test_a_call_that_fails_is_not_executed(tool: type[gem.Tool]) -> None:
     env = Tool429(with_tools(tool(), max_tool_uses=3, tool_error_reward=-1.0), rate=1.0)
     env.reset(seed=1)
     observation, reward, _, _, info = env.step(CALL)
-    assert observation.startswith(
-        "Error from note:\nThe tool failed: HTTP 429 Too Many Requests. The service is busy; try again.\n"
-        "Tool calls left: 2."
-    )
+    assert "HTTP 429" in observation
+    assert "Tool calls left: 2." in observation
     assert reward == 0.0
     assert (info["tool"]["failed"], info["tool"]["fault"]) == (True, "HTTP 429, injected")
     env = Tool429(with_tools(tool()), rate=0.0)
@@ -106,33 +99,20 @@ def test_a_call_that_fails_is_not_executed(tool: type[gem.Tool]) -> None:
     assert env.step(CALL)[0].startswith("Output of note:\na long line of text\n")
 
 
-def test_some_calls_time_out() -> None:
-    """About as many as the rate says; the rest is answered."""
-    env = ToolTimeout(with_tools(), rate=0.25)
-    failed = sum("did not answer within 30 s" in text for text in played(env, 3, [CALL] * 400))
-    assert 60 < failed < 140
-
-
-def test_a_cut_output_of_a_tool_keeps_what_is_said_of_the_calls() -> None:
-    """Half of what the tool returned is there, with a mark, and how many calls are left."""
+def test_a_cut_output_keeps_the_calls_left_and_the_board() -> None:
+    """Half of what a tool or a task returned is there, with a mark; first and last observation are whole."""
     env = CutOutputs(with_tools(max_tool_uses=4), rate=1.0)
     env.reset(seed=1)
     observation = env.step("<note>0123456789</note>")[0]
-    assert observation.startswith(
-        "Output of note:\n01234\n[The output is cut off here.]\nTool calls left: 3. Call a tool again"
-    )
-
-
-def test_a_cut_output_of_the_task_keeps_the_board() -> None:
-    """Feedback is cut, the suffix and the first and last observation are not."""
-    env, plain = CutOutputs(Guard(Dice()), rate=1.0), Guard(Dice())
-    assert env.reset(seed=1)[0] == plain.reset(seed=1)[0]
-    observation, _, _, _, info = env.step("x")
+    assert observation.startswith("Output of note:\n01234\n[The output is cut off here.]\nTool calls left: 3.")
+    cut, plain = CutOutputs(Guard(Dice()), rate=1.0), Guard(Dice())
+    assert cut.reset(seed=1)[0] == plain.reset(seed=1)[0]
+    observation, _, _, _, info = cut.step("x")
     whole = plain.step("x")[0]
     assert "[The output is cut off here.]" in observation
     assert observation == info["feedback"] + info["suffix"]
     assert observation.rpartition("\n")[2] == whole.rpartition("\n")[2]
-    assert env.step("right")[0] == plain.step("right")[0]
+    assert cut.step("right")[0] == plain.step("right")[0]
 
 
 def test_native_results_are_cut_as_the_observation_is() -> None:
@@ -183,39 +163,27 @@ def test_a_new_name_never_hides_another_parameter() -> None:
     assert '{"text": "first", "content": "second"}' in said
 
 
-def test_distractors_stand_beside_the_other_tools() -> None:
-    """They are in the schemas and in the explanation, and answer nothing of use."""
-    env = with_tools(Notebook(), *make_distractors(2))
-    observation, info = env.reset(seed=1)
-    assert [tool["function"]["name"] for tool in info["tools"]] == ["note", "weather", "translate"]
-    assert "- weather: Tells the weather forecast for a city." in observation
-    assert "No forecast is available." in env.step("<weather>Paris</weather>")[0]
-
-
-def test_distractors_keep_the_promises_of_tools() -> None:
-    """One takes its arguments and bears hostile ones; all are of one class, with names of their own."""
+def test_distractors_and_changed_tools_keep_the_promises_of_tools() -> None:
+    """One takes its arguments and bears hostile ones, and answers nothing of use."""
     tools = make_distractors(8)
     check_tool(tools[1], {"text": "Hello", "language": "Dutch"})
-    assert len({tool.name for tool in tools}) == 8
-
-
-def test_a_changed_tool_keeps_the_promises_of_tools() -> None:
-    """A tool that stands for another is called in the same ways."""
     check_tool(ChangedTool(Notebook()), {"text": "x"})
+    assert len({tool.name for tool in tools}) == 8
+    env = with_tools(Notebook(), *tools)
+    assert [tool["function"]["name"] for tool in env.reset(seed=1)[1]["tools"]][:3] == ["note", "weather", "translate"]
+    assert "No forecast is available." in env.step("<weather>Paris</weather>")[0]
 
 
 def test_they_are_found_by_name_and_name_what_they_lack() -> None:
     """``make`` takes them by name; without tools the error says where to name some."""
     env = gem.make("perturbed:Dice-v0", wrappers="distractor_tools,tool_429,paraphrase,typos")
     assert [name for name, _ in env.spec.wrappers] == ["tools", "tool_429", "paraphrase", "typos"]
-    with pytest.raises(ArgumentError) as error:
-        gem.make("perturbed:Dice-v0", wrappers="tool_429")
-    assert str(error.value) == (
-        "Tool429 changes tools that wrappers offer, and there are none inside it around perturbed:Dice-v0; "
-        "name tools before it, as in 'python,tool_429'"
-    )
-    with pytest.raises(ArgumentError, match="rate must be a number from 0 to 1, not 2"):
-        gem.make("perturbed:Dice-v0", wrappers=[("typos", {"rate": 2})])
+    for wrappers in ("tool_429", [("typos", {"rate": 2})]):
+        with pytest.raises(ArgumentError):
+            gem.make("perturbed:Dice-v0", wrappers=wrappers)
+    gem.make("perturbed:Echo-v0", wrappers="typos,concat").reset(seed=1)
+    with pytest.raises(ArgumentError):  # outside a view it would change the history
+        gem.make("perturbed:Echo-v0", wrappers="concat,typos").reset(seed=1)
 
 
 TASK = """You are not shown the code. Write your guess inside \\boxed{do not}, for example `do not`, at most 3 times.
@@ -288,12 +256,3 @@ def test_a_long_line_takes_no_long_time() -> None:
     for piece in ("a", '"', "<a>", "a.", "\\a{", "'", "$ "):
         text = piece * (200_000 // len(piece))
         assert change_prose(text, lambda prose: prose) == text
-
-
-def test_words_are_changed_inside_a_view() -> None:
-    """Outside a view it would change the history, and says so."""
-    env = gem.make("perturbed:Echo-v0", wrappers="typos,concat")
-    env.reset(seed=1)
-    env = gem.make("perturbed:Echo-v0", wrappers="concat,typos")
-    with pytest.raises(ArgumentError, match="Typos changes the task itself; name it before the view of the history"):
-        env.reset(seed=1)

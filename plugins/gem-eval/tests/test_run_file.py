@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recorded import broken, failed, maze, write_all
+from recorded import broken, failed, maze
 
 from gem_core import Episode, read_episodes, write_episodes
 from gem_core.errors import ArgumentError, EpisodeFileError
@@ -81,16 +81,6 @@ def test_any_file_has_the_rows_of_its_lines(
         assert readable == [figures(episode) for episode in read_episodes(path) if isinstance(episode.final_info, dict)]
 
 
-def test_a_torn_line_that_is_mended_is_read_again(tmp_path: Path) -> None:
-    """A line is not read before its end is there, as long as the run may go on."""
-    path = tmp_path / "run.jsonl"
-    path.write_bytes(GOOD + b"\n" + GOOD[:100])
-    run = opened(path)
-    assert [row.number for row in run.refresh()] == [1]
-    path.write_bytes(GOOD + b"\n" + GOOD + b"\n")
-    assert [row.number for row in run.refresh()] == [2]
-
-
 def test_one_episode_needs_no_other(tmp_path: Path) -> None:
     """A line is found by counting line ends; blank lines count."""
     path = tmp_path / "run.jsonl"
@@ -103,15 +93,6 @@ def test_one_episode_needs_no_other(tmp_path: Path) -> None:
         with pytest.raises(ArgumentError) as caught:
             run.row(number)
         assert str(caught.value) == f"no episode {number} in {path}{reason}. Run 'gem show {path}'"
-
-
-def test_images_are_not_needed_for_reading(tmp_path: Path) -> None:
-    """An episode whose image is gone is shown all the same."""
-    path = write_all(tmp_path / "run.jsonl")
-    for image in (tmp_path / "run.images").iterdir():
-        image.unlink()
-    run = opened(path)
-    assert [run.record(row).turns for row in run.read_all()] == [3, 2, 1, 1, 3]
 
 
 def test_what_can_be_read_but_once_is_refused() -> None:
