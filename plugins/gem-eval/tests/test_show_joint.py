@@ -95,10 +95,7 @@ def test_one_episode_is_told_in_the_order_of_play(show) -> None:
     ]
     assert places == sorted(places)
     assert json.loads(show("1", "--json")[1])["order"] == [["white"], ["black"], ["white", "black"]]
-
-
-def test_episode_that_an_agent_ended_shows_what_each_saw(show) -> None:
-    """A seat that never acted has its observation and its reward, and the error stands at the end."""
+    # A seat that never acted has its observation and its reward.
     _, out, _ = show("4")
     assert "black=random: error, return 2 (2 before the first turn), 0 turns\n" in out
     assert "observation of black\n  Wait.\n" in out
@@ -114,38 +111,8 @@ def test_one_seat_is_shown_as_an_episode_of_its_own(show) -> None:
     assert json.loads(show("1", "--seat", "black", "--json")[1])["seat"] == "black"
     _, row = show("--seat", "black")[1].splitlines()[:2]
     assert row.split() == ["1", "duel:Words-v0", "failure", "0.5", "2", "4", "g2", "black=random"]
-
-
-def test_one_seat_of_two_episodes_is_compared(show) -> None:
-    """As two episodes of one agent are."""
     _, out, _ = show("--diff", "1", "2", "--seat", "white")
-    assert out.startswith("- episode 1 · duel:Words-v0 · success, return 0.5, 2 turns, seed 4\n")
     assert "All 2 turns are alike, but not what came last.\n" in out
-
-
-def page_data(show, *arguments: str) -> list[dict[str, Any]]:
-    """The episodes in the page."""
-    assert show("--html", "page.html", *arguments)[0] == 0
-    _, _, rest = Path("page.html").read_text("utf-8").partition('id="data">')
-    episodes: list[dict[str, Any]] = json.loads(rest.partition("</script>")[0])["episodes"]
-    return episodes
-
-
-def test_page_holds_the_turns_of_all_seats(show) -> None:
-    """In the order of play, each with its seat; with ``--seat`` those of one."""
-    first, _, third, last = page_data(show)
-    assert [(each["number"], each["seat"]) for each in first["turns"]] == [
-        (1, "white (openai:tiny)"),
-        (2, "black (random)"),
-        (3, "white (openai:tiny)"),
-        (3, "black (random)"),
-    ]
-    assert (first["count"], first["returns"]) == (3, "white=openai:tiny 0.5, black=random 0.5")
-    assert first["start"]["white"] == "openai:tiny, success, return 0.5, 2 turns"
-    assert [part["text"] for part in first["final"]] == ["white", "You have won.", "black", "You have lost."]
-    assert (third["returns"], third["turns"][0]["seat"], last["error"]) == ("", "", "agent: no route")
-    (first, *_) = page_data(show, "--seat", "black")
-    assert [each["blocks"][-1]["parts"][0]["text"] for each in first["turns"]] == ["pear", "fig"]
 
 
 def test_hostile_names_of_seats_and_agents_are_escaped() -> None:
@@ -176,3 +143,26 @@ def test_damaged_joint_line_is_passed_over(show, name: str, value: Any) -> None:
     Path("run.jsonl").write_text(json.dumps({**json.loads(lines[0]), name: value}) + "\n" + lines[1])
     code, out, err = show()
     assert (code, len(out.splitlines()), "line 1" in err) == (0, 2, True)
+
+
+def test_page_holds_the_turns_of_all_seats(show) -> None:
+    """In the order of play, each with its seat; with ``--seat`` those of one."""
+
+    def episodes(*arguments: str) -> list[dict[str, Any]]:
+        assert show("--html", "page.html", *arguments)[0] == 0
+        _, _, rest = Path("page.html").read_text("utf-8").partition('id="data">')
+        found: list[dict[str, Any]] = json.loads(rest.partition("</script>")[0])["episodes"]
+        return found
+
+    first, _, third, last = episodes()
+    white, black = "white (openai:tiny)", "black (random)"
+    turns = [(each["number"], each["seat"]) for each in first["turns"]]
+    assert turns == [(1, white), (2, black), (3, white), (3, black)]
+    assert (first["outcome"], first["count"], first["returns"]) == (
+        "split", 3, "white=openai:tiny 0.5, black=random 0.5",
+    )  # fmt: skip
+    assert first["start"]["white"] == "openai:tiny, success, return 0.5, 2 turns"
+    assert [part["text"] for part in first["final"]] == ["white", "You have won.", "black", "You have lost."]
+    assert (third["returns"], third["turns"][0]["seat"], last["error"]) == ("", "", "agent: no route")
+    (first, *_) = episodes("--seat", "black")
+    assert [each["blocks"][-1]["parts"][0]["text"] for each in first["turns"]] == ["pear", "fig"]

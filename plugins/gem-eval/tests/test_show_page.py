@@ -6,13 +6,13 @@ import base64
 import hashlib
 import json
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pages import Page
 from PIL import Image
 from recorded import HOSTILE, hostile, maze, turn, write_all
 
@@ -26,48 +26,16 @@ from gem_eval.show.text import escaped
 ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=60)
 
 
-class Page(HTMLParser):
-    """The elements of a page, and the texts of its scripts and styles."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.raw: dict[str, list[str]] = {"script": [], "style": []}
-        self._inside = ""
-        self.feed(text)
-        self.close()
-        self.data: Any = json.loads(self.raw["script"][0])
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
-        self._inside = tag
-        if tag in self.raw:
-            self.raw[tag].append("")
-
-    def handle_endtag(self, tag: str) -> None:
-        self._inside = ""
-
-    def handle_data(self, data: str) -> None:
-        if self._inside in self.raw:
-            self.raw[self._inside][-1] += data
-
-    @property
-    def policy(self) -> dict[str, list[str]]:
-        """The directives of the content security policy."""
-        (content,) = [
-            values["content"] or ""
-            for _, values in self.elements
-            if values.get("http-equiv") == "Content-Security-Policy"
-        ]
-        return {part.split()[0]: part.split()[1:] for part in content.split(";")}
-
-
 def page_of(*episodes: Episode, folder: Path = Path("none")) -> Page:
     """The page of some episodes."""
     writer = PageWriter("run.jsonl", ImageFolder(folder))
     for number, episode in enumerate(episodes, start=1):
         writer.add(number, episode)
     return Page(writer.html())
+
+
+def data_of(page: Page) -> Any:
+    return json.loads(page.raw["script"][0])
 
 
 def hash_of(text: str) -> str:
@@ -123,7 +91,7 @@ def test_the_policy_allows_its_own_script_and_style_and_images_as_data(written) 
 def test_hostile_text_stays_text(written) -> None:
     """It is in the data with its control characters as codes, and nowhere else in the page."""
     page, _ = written()
-    evil = page.data["episodes"][3]
+    evil = data_of(page)["episodes"][3]
     assert evil["final"] == [{"kind": "text", "text": escaped(HOSTILE), "repeated": False}]
     assert evil["turns"][0]["blocks"][2]["parts"][0]["text"] == escaped(HOSTILE)
     tags = [tag for tag, _ in page.elements]
@@ -136,15 +104,17 @@ def test_hostile_text_stays_text(written) -> None:
 def test_any_text_stays_text(text: str) -> None:
     """The data parse back, and the elements are those of any page."""
     page = page_of(Episode(text, 1, text, {}, [turn(text, text, **{text: text})], text, group=text), hostile())
-    said = page.data["episodes"][0]["turns"][0]["blocks"][1]["parts"]
+    said = data_of(page)["episodes"][0]["turns"][0]["blocks"][1]["parts"]
     assert "".join(part["text"] for part in said) == escaped(text)
     assert [tag for tag, _ in page.elements] == [tag for tag, _ in page_of(maze()).elements]
 
 
 def test_the_data_hold_what_is_shown(written) -> None:
     """Turns with rewards for the bars, what the server reported, and folded observations."""
-    page, _ = written("--env", "maze:*", "--limit", "1")
-    (episode,) = page.data["episodes"]
+    page, out = written("--env", "maze:*", "--limit", "1")
+    (episode,) = data_of(page)["episodes"]
+    assert data_of(page)["notes"] == ["2 more episodes are left out of this page; --limit 3 takes all."]
+    assert out == "1 episode written to out/page.html (2 more left out: raise --limit)\n"
     assert (episode["number"], episode["outcome"], episode["return"]) == (1, "success", "0.75")
     assert [turn["reward"] for turn in episode["turns"]] == [0.25, -0.5, 1.0]
     assert [p["text"] for b in episode["turns"][0]["blocks"] if b["label"] == "tool call" for p in b["parts"]] == [
@@ -155,40 +125,17 @@ def test_the_data_hold_what_is_shown(written) -> None:
     assert episode["start"]["task"] == "room-7"
 
 
-def test_what_the_limit_leaves_out_is_said(written) -> None:
-    """In the page and in the terminal."""
-    page, out = written("--limit", "2")
-    assert [episode["number"] for episode in page.data["episodes"]] == [1, 2]
-    assert page.data["notes"] == ["3 more episodes are left out of this page; --limit 5 takes all."]
-    assert out == "2 episodes written to out/page.html (3 more left out: raise --limit)\n"
-
-
 def test_images_stand_in_the_page_once(written) -> None:
     """As data, written anew as PNG; a name that is none of ours is not looked for."""
     page, _ = written()
-    ((name, source),) = page.data["images"].items()
-    assert page.data["episodes"][4]["turns"][0]["blocks"][0]["parts"][1] == {
+    ((name, source),) = data_of(page)["images"].items()
+    assert data_of(page)["episodes"][4]["turns"][0]["blocks"][0]["parts"][1] == {
         "kind": "image",
         "text": name,
         "repeated": False,
     }
     assert base64.b64decode(source.removeprefix("data:image/png;base64,")).startswith(b"\x89PNG")
-    assert page.data["notes"] == ["Images that cannot be read, or would be too much: 1. Their names stand instead."]
-
-
-def test_a_very_long_text_is_cut_with_a_note() -> None:
-    """So that a browser can open the page."""
-    page = page_of(Episode("toy:A-v0", 1, "x" * (MOST_TEXT + 1234), {}))
-    assert page.data["episodes"][0]["observation"][0]["text"].endswith("x\n… 1,234 more characters")
-
-
-def test_numbers_that_are_none_do_not_break_the_page() -> None:
-    """JSON has no infinity: the bar is flat and the text says it."""
-    page = page_of(Episode("toy:A-v0", 1, "a", {}, [turn("a", "b", float("inf")), turn("a", "b", float("nan"))], "c"))
-    assert [(turn["reward"], turn["rewardText"]) for turn in page.data["episodes"][0]["turns"]] == [
-        (0.0, "inf"),
-        (0.0, "nan"),
-    ]
+    assert data_of(page)["notes"] == ["Images that cannot be read, or would be too much: 1. Their names stand instead."]
 
 
 def test_images_of_any_mode_stand_in_the_page_up_to_a_limit(tmp_path: Path) -> None:
@@ -199,7 +146,7 @@ def test_images_of_any_mode_stand_in_the_page_up_to_a_limit(tmp_path: Path) -> N
     for limit, expected in ((10**6, 3), (0, 0)):
         writer = PageWriter("run", ImageFolder(tmp_path / "run.images"), most_image_bytes=limit)
         writer.add(1, Episode.from_dict(record))
-        assert len(Page(writer.html()).data["images"]) == expected
+        assert len(data_of(Page(writer.html()))["images"]) == expected
 
 
 def test_a_page_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
@@ -207,3 +154,12 @@ def test_a_page_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ArgumentError):
         PageWriter("run", ImageFolder(tmp_path)).write(tmp_path / "file" / "page.html")
     assert (tmp_path / "file").read_text() == "kept"
+
+
+def test_long_texts_and_strange_numbers_do_not_break_the_page() -> None:
+    """JSON has no infinity: the bar is flat and the text says it."""
+    turns = [turn("a", "b", float("inf")), turn("a", "b", float("nan"))]
+    page = page_of(Episode("toy:A-v0", 1, "a", {}, turns, "c"), Episode("toy:A-v0", 1, "x" * (MOST_TEXT + 1234), {}))
+    strange, long = data_of(page)["episodes"]
+    assert [(each["reward"], each["rewardText"]) for each in strange["turns"]] == [(0.0, "inf"), (0.0, "nan")]
+    assert long["observation"][0]["text"].endswith("x\n… 1,234 more characters")
