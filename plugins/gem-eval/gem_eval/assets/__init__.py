@@ -5,10 +5,14 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
+from functools import cache
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gem_eval.show.text import escaped, one_line
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 _BREAKABLE = re.compile(r"[:/_.]+")
 _MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~&!@])")
@@ -34,6 +38,11 @@ def render(template: str, **values: Any) -> str:
         template: Its name; ``.html`` is escaped.
         values: What stands in it.
     """
+    return _environment(template.endswith(".html")).get_template(template).render(values)
+
+
+@cache
+def _environment(is_page: bool) -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup, escape
 
@@ -48,7 +57,6 @@ def render(template: str, **values: Any) -> str:
         rest = len(text) - longest
         return text if rest <= 0 else f"{text[:longest]}\n… {rest:,} more characters"
 
-    is_page = template.endswith(".html")
     environment = Environment(
         loader=PackageLoader("gem_eval", "assets"),
         autoescape=is_page,
@@ -63,4 +71,4 @@ def render(template: str, **values: Any) -> str:
         "markdown": lambda name: _MARKDOWN.sub(r"\\\1", one_line(name, 120)),
         "hash": hash_source,
     }
-    return environment.get_template(template).render(values)
+    return environment
