@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -257,39 +258,42 @@ def test_runs_are_found_and_told_apart(tmp_path: Path, runs: Path) -> None:
     assert [client.get(f"/api/episode?run=first&number={number}").status_code for number in (1, 2)] == [422, 200]
 
 
-@pytest.fixture
-def serving(runs: Path) -> Iterator[tuple[str, int]]:
-    """A real server of the two runs."""
-    library = Library([runs])
-    server = uvicorn.Server(
-        uvicorn.Config(make_app(library, lambda: server.should_exit), port=0, log_level="error", lifespan="off")
-    )
+@contextmanager
+def served(*paths: Path) -> Iterator[str]:
+    """Serve runs, and give the address."""
+    library = Library(paths)
+    config = uvicorn.Config(make_app(library, lambda: server.should_exit), port=0, log_level="error", lifespan="off")
+    server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run)
     thread.start()
     library.start()
     while not server.started:
         thread.join(0.01)
-    yield server.servers[0].sockets[0].getsockname()
-    server.should_exit = True
-    thread.join()
-    library.stop()
+    try:
+        yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}/"
+    finally:
+        server.should_exit = True
+        thread.join()
+        library.stop()
 
 
-def test_changes_are_told_as_they_happen(runs: Path, serving: tuple[str, int]) -> None:
+def test_changes_are_told_as_they_happen(runs: Path) -> None:
     """By server-sent events, each with the list of runs; the end of the server ends them. A taken port is an error."""
-    with pytest.raises(SystemExit) as caught:
-        main(["view", str(runs), "--port", str(serving[1])])
-    assert caught.value.code == 2
-    connection = http.client.HTTPConnection(*serving, timeout=30)
-    connection.request("GET", "/api/events")
-    answer = connection.getresponse()
-    assert answer.headers["content-type"].startswith("text/event-stream")
-    write_run(runs / "third", [maze(), failed()])
-    told: list[dict[str, Any]] = []
-    while [run.get("episodes") for run in told] != [5, 3, 2]:
-        line = answer.readline()
-        told = json.loads(line[6:]) if line.startswith(b"data: ") else told
-    connection.close()
+    with served(runs) as address:
+        port = int(address.split(":")[-1].strip("/"))
+        with pytest.raises(SystemExit) as caught:
+            main(["view", str(runs), "--port", str(port)])
+        assert caught.value.code == 2
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
+        connection.request("GET", "/api/events")
+        answer = connection.getresponse()
+        assert answer.headers["content-type"].startswith("text/event-stream")
+        write_run(runs / "third", [maze(), failed()])
+        told: list[dict[str, Any]] = []
+        while [run.get("episodes") for run in told] != [5, 3, 2]:
+            line = answer.readline()
+            told = json.loads(line[6:]) if line.startswith(b"data: ") else told
+        connection.close()
 
 
 def test_ctrl_c_ends_it_quietly(runs: Path) -> None:

@@ -3,49 +3,23 @@
 from __future__ import annotations
 
 import json
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import chromium
 import pytest
-import uvicorn
 from chromium import Page
 from PIL import Image
 from recorded import HOSTILE, broken, duel, failed, hostile, maze
-from test_view import write_run
+from test_view import served, write_run
 
 from gem_core import write_episodes
 from gem_eval.records import RunWriter
 from gem_eval.show.text import escaped
-from gem_eval.viewing.app import make_app
-from gem_eval.viewing.library import Library
 
 pytestmark = pytest.mark.skipif(chromium.find() is None, reason="there is no Chromium")
 
 TABLE = "document.querySelectorAll('#rows .outcome').length"
 TURNS = "document.querySelectorAll('article .turn').length"
-
-
-@contextmanager
-def served(*paths: Path) -> Iterator[str]:
-    """Serve runs, and give the address."""
-    library = Library(paths)
-    server = uvicorn.Server(
-        uvicorn.Config(make_app(library, lambda: server.should_exit), port=0, log_level="error", lifespan="off")
-    )
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    library.start()
-    while not server.started:
-        thread.join(0.01)
-    try:
-        yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}/"
-    finally:
-        server.should_exit = True
-        thread.join()
-        library.stop()
 
 
 @pytest.fixture
