@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, overload
+from typing import Any
 
 Row = Mapping[str, Any]
 """A row of a data set: columns and their values."""
@@ -23,11 +23,7 @@ class Rows(Sequence[Row]):
     def __len__(self) -> int:
         return len(self._items)
 
-    @overload
-    def __getitem__(self, index: int) -> Row: ...
-    @overload
-    def __getitem__(self, index: slice) -> Rows: ...
-    def __getitem__(self, index: int | slice) -> Row | Rows:
+    def __getitem__(self, index: Any) -> Any:
         """Return a row, or some of them."""
         if isinstance(index, slice):
             return Rows(self._items[index], self._make)

@@ -18,7 +18,7 @@ from gem_core.env.seats import SeatWrappers
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, RegistrationError
 from gem_core.making.layers import Wrappers, asked_for, check_options, layers_of
-from gem_core.registry.entry_points import call_entry_point, load_entry_point
+from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.requirements import check_requirements
 from gem_core.registry.specs import EnvSpec
 from gem_core.wrappers.rendering import TEXT_MODES, Rendered
@@ -132,7 +132,7 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], *wrappers: Wrappers) -
         EntryPointError: What the record points to cannot be imported.
         ArgumentError: A keyword that the environment, or an option that a wrapper, does not have.
     """
-    # Its arguments; the limit of turns is the task's own where it takes one.
+    # Its arguments; the limit of turns is the task's own if it takes one.
     arguments = {**record.kwargs, **kwargs}
     check_requirements(record, arguments)
     render_mode = arguments.pop("render_mode", None)
@@ -143,7 +143,8 @@ def make_from(record: EnvSpec, kwargs: Mapping[str, Any], *wrappers: Wrappers) -
         arguments, limit = {"max_turns": limit, **arguments}, None
 
     # The task.
-    env = call_entry_point(maker, (), arguments, owner)
+    check_arguments(maker, (), arguments, owner)
+    env = maker(**arguments)
     if not isinstance(env, gymnasium.Env):
         raise RegistrationError(f"{record.id}: the entry point returned {type(env).__name__}, not an environment")
     try:
@@ -206,7 +207,8 @@ def wrap(env: AnyEnv, wrappers: Wrappers) -> AnyEnv:
         )
     for layer in layers_of(wrappers):
         wrapper = load_entry_point(layer.entry_point, layer.owner)
-        env = call_entry_point(wrapper, (env,), layer.options, layer.owner)
+        check_arguments(wrapper, (env,), layer.options, layer.owner)
+        env = wrapper(env, **layer.options)
         if not isinstance(env, gymnasium.Env):
             raise ArgumentError(f"{layer.owner} returned {type(env).__name__}, not an environment")
         if layer.record is not None and isinstance(env, Wrapper):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, cast
 
 from gem_core.arguments import check_arguments
@@ -66,10 +66,6 @@ def _provider(package: str, module_name: str) -> str:
 def construct(record: NamedSpec, *args: Any, **options: Any) -> Any:
     """Call the entry point of a named record with arguments that are checked first."""
     owner = f"{record.kind} {record.name!r}"
-    return call_entry_point(load_entry_point(record.entry_point, owner), args, options, owner)
-
-
-def call_entry_point(maker: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any], owner: str) -> Any:
-    """Call what an entry point named, with arguments that are checked first."""
+    maker = load_entry_point(record.entry_point, owner)
     check_arguments(maker, args, options, owner)
     return maker(*args, **options)

@@ -270,10 +270,12 @@ class Registry:
     def _find(self, wanted: type[N], kind: type[NamedSpec], name: str) -> N:
         """Return the record of a name in the space of a kind, if it is of the class that is wanted."""
         space = _space(kind.kind)
+        self.load()
+        record = self._named.get(space, {}).get(name)
+        if isinstance(record, wanted):
+            return record
         self.raise_if_ambiguous(space, name)
-        records = {each: record for each, record in self._named.get(space, {}).items() if isinstance(record, wanted)}
-        if name in records:
-            return records[name]
+        records = [each for each, other in self._named.get(space, {}).items() if isinstance(other, wanted)]
         kinds = ["wrapper", "tool"] if kind is WrapperSpec else [kind.kind]
         hint = self.install_hint(name, *kinds) or did_you_mean(name, records)
         if records:

@@ -95,7 +95,7 @@ def check_requirements(record: EnvSpec, given: Iterable[str] = ()) -> None:
         MissingRequirementError: Names each requirement and what to install, start or set.
     """
     met = {f"argument:{name}" for name in given}
-    missing = unmet(word for word in record.requires if word not in met) if record.requires else {}
+    missing = unmet(word for word in record.requires if word not in met)
     if missing:
         raise MissingRequirementError(f"{record.id} cannot run here: {'; '.join(missing.values())}")
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from gem_core.arguments import signature_of
+from gem_core.arguments import check_arguments, signature_of
 from gem_core.background import run_or_schedule, run_sync
 from gem_core.errors import AgentError, ArgumentError, EntryPointError, UnknownAgentError
 from gem_core.records.episode import Transition
-from gem_core.registry.entry_points import call_entry_point, load_entry_point
+from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
 from gem_core.types import Info, Observation, Response
 
@@ -220,7 +220,8 @@ def load_agent(name: str, **options: Any) -> Agent:
     with current_folder_importable():  # a class may import more when it is made
         target, args, is_maker = _find(name)
         if is_maker:
-            return as_agent(call_entry_point(target, args, options, f"agent {name!r}"))
+            check_arguments(target, args, options, f"agent {name!r}")
+            return as_agent(target(*args, **options))
         if options:
             raise ArgumentError(
                 f"the agent {name!r} is not a class, so it takes no options, and was given: {', '.join(options)}"
