@@ -69,13 +69,11 @@ def test_parts_of_an_id(env_id: str, namespace: str, name: str, version: int | N
     assert (record.namespace, record.name, record.version) == (namespace, name, version)
 
 
-def test_record_is_frozen_hashable_and_pickled() -> None:
-    """A record cannot be changed, goes into a set, and survives pickling."""
+def test_record_is_hashable_and_pickled() -> None:
+    """A record goes into a set, and survives pickling."""
     record = EnvSpec(id="word:Guess-v0", entry_point="a:B", kwargs={"n": [1]}, tags=("x",))
     assert pickle.loads(pickle.dumps(record)) == record
     assert len({record, pickle.loads(pickle.dumps(record))}) == 1
-    with pytest.raises(TypeError):
-        record.kwargs["n"] = 2  # type: ignore[index]
 
 
 def test_record_does_not_share_its_mapping_with_the_caller() -> None:

@@ -13,7 +13,8 @@ from click.core import ParameterSource
 from gem_core.cli.completion import TOOLS, WRAPPERS
 from gem_core.cli.players import check_seats
 from gem_core.errors import ArgumentError
-from gem_core.registry.choices import OPTION, option_value, parsed_choices
+from gem_core.registry.choices import OPTION, option_value
+from gem_core.registry.choices import parsed_choices as parsed_choices
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import ToolSpec
 
