@@ -6,12 +6,9 @@ Dockerfile, the scripts that run the tests, and the modules that the tests impor
 
 from __future__ import annotations
 
-import atexit
 import functools
 import hashlib
-import logging
 import os
-import shutil
 import tempfile
 import textwrap
 import tomllib
@@ -21,20 +18,20 @@ from pathlib import Path
 import yaml
 
 from gem_core.errors import ArgumentError
+from gem_terminal.errors import TaskError
 
 _DATA = Path(__file__).parent / "data" / "sample"
-
-logger = logging.getLogger(__name__)
 
 
 @functools.cache
 def sample_folder(format: str) -> Path:
     """Return a folder with the sample tasks in a format, ``"harbor"`` or ``"terminal-bench"``.
 
-    It is in the user's cache folder under a digest of what it holds, or else a temporary one of this process.
+    It is in the user's cache folder under a digest of what it holds.
 
     Raises:
         ArgumentError: There is no such format.
+        TaskError: The cache folder cannot be written to.
     """
     if format not in _WRITERS:
         raise ArgumentError(f"the sample tasks have no format {format!r}; there are: {', '.join(_WRITERS)}")
@@ -45,18 +42,16 @@ def sample_folder(format: str) -> Path:
         for name, content in _WRITERS[format](_files_below(task), shared).items()
     }
     digest = hashlib.sha256(repr(sorted(files.items())).encode()).hexdigest()[:16]
-    try:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gem" / "terminal-sample"
-        folder = base / f"{format}-{digest}"
-        if not folder.is_dir():
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gem" / "terminal-sample"
+    folder = base / f"{format}-{digest}"
+    if not folder.is_dir():
+        try:
             base.mkdir(parents=True, exist_ok=True)
             _write(files, base, folder)
-    except (OSError, RuntimeError) as error:
-        logger.warning("gem-terminal: the sample tasks are written to a temporary folder: %s", error)
-        base = Path(tempfile.mkdtemp(prefix="gem-terminal-sample-"))
-        atexit.register(shutil.rmtree, base, ignore_errors=True)
-        folder = base / format
-        _write(files, base, folder)
+        except OSError as error:
+            raise TaskError(
+                f"the sample tasks cannot be written: {error}. Name a cache folder: XDG_CACHE_HOME"
+            ) from error
     return folder
 
 

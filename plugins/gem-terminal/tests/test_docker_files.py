@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 import pytest
 from docker_machines import SMALL, backend, machine, needs_engine, run_label, say, task
 
-from gem_core.errors import UsageError
-from gem_terminal.backends.docker.files import check_paths
 from gem_terminal.errors import MachineLostError
 
 if TYPE_CHECKING:
@@ -178,10 +176,3 @@ def test_files_that_cannot_be_removed_are_the_agents_doing(machine: DockerMachin
     with pytest.raises(MachineLostError, match=r"/x cannot be removed") as caught:
         machine.remove_files(["/x"])
     assert caught.value.by_agent is True
-
-
-@pytest.mark.parametrize("path", ["relative", "/", "", "//", "/a/../.."])
-def test_paths_that_name_no_file_are_refused(path: str) -> None:
-    """The root, or none that is absolute."""
-    with pytest.raises(UsageError, match="is no absolute path of a file or folder"):
-        check_paths([path])

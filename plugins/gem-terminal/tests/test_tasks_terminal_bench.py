@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from task_writing import TERMINAL_BENCH, read_task, write
 
-from gem_terminal.errors import TaskError
 from gem_terminal.tasks.task import Container, Environment, Solution, Step, Verifier
 
 COMPOSE = """
@@ -174,50 +173,3 @@ except TaskError as error:
         f"{name} /tests\n{bad}/task.yaml: is nested too deeply; expected 40 levels at most.\n",
         "",
     )
-
-
-WRONG = {
-    "no_file": ({"task.yaml": ""}, "task.yaml: has None; expected fields with their values."),
-    "no_instruction": ({"task.yaml": "difficulty: easy\n"}, "task.yaml: the field 'instruction' is missing."),
-    "empty": (
-        {"task.yaml": "instruction: ' '\n"},
-        "task.yaml: 'instruction' is empty; expected what the agent is asked to do.",
-    ),
-    "no_text": ({"task.yaml": "instruction: 5\n"}, "task.yaml: 'instruction' is 5: Input should be a valid string."),
-    "no_number": (
-        {"task.yaml": "instruction: Go.\nmax_agent_timeout_sec: soon\nmax_test_timeout_sec: 0\n"},
-        "task.yaml: 'max_agent_timeout_sec' is 'soon': Input should be a valid number, unable to parse string as a "
-        "number. Fields that are wrong beside it: 1.",
-    ),
-    "endless": (
-        {"task.yaml": "instruction: Go.\nmax_test_timeout_sec: .inf\n"},
-        "task.yaml: 'max_test_timeout_sec' is 'inf': Input should be a finite number.",
-    ),
-    "parser": (
-        {"task.yaml": "instruction: Go.\nparser_name: mine\n"},
-        "task.yaml: 'parser_name' is 'mine'; expected one of pytest, swebench, swelancer, mlebench, sweperf.",
-    ),
-    "tests": ({"run-tests.sh": None}, "run-tests.sh: the file is missing; expected the script that runs the tests."),
-    "image": (
-        {"Dockerfile": None},
-        "Dockerfile: the file is missing, and so is docker-compose.yaml; expected one of them.",
-    ),
-    "client": (
-        {"docker-compose.yaml": "services: {web: {image: x}, db: {image: y}}\n"},
-        "docker-compose.yaml: 'services' has web, db; expected one named 'client', which the agent works in.",
-    ),
-    "weights": (
-        {"test_weights.json": "[1]"},
-        "test_weights.json: has [1]; expected an object of weights by the names of tests.",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_an_error_names_file_and_field(tmp_path: Path, case: str) -> None:
-    """And what was expected."""
-    files, message = WRONG[case]
-    folder = write(tmp_path / "t", TERMINAL_BENCH, files)
-    with pytest.raises(TaskError) as raised:
-        read_task(folder)
-    assert str(raised.value) == f"{folder}/{message}"

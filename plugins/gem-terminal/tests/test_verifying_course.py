@@ -11,8 +11,8 @@ from verifying_toys import DONE, ToyBackend, ToyMachine, as_backend, as_machine,
 
 from gem_terminal.backends.interface import Completed, Limits
 from gem_terminal.errors import EngineError, MachineLostError, TaskError
+from gem_terminal.tasks.staging import solve
 from gem_terminal.tasks.task import Collect, Container, Environment, Solution
-from gem_terminal.verifying.solutions import solve
 from gem_terminal.verifying.verify import verify
 
 if TYPE_CHECKING:

@@ -19,8 +19,7 @@ from gem_terminal.command.asking import chosen_backend, chosen_limits, paths_of,
 from gem_terminal.errors import MachineError, TaskError
 from gem_terminal.selecting import select_tasks
 from gem_terminal.shell import Shell
-from gem_terminal.tasks.staging import stage
-from gem_terminal.verifying.solutions import solve
+from gem_terminal.tasks.staging import solve, stage
 from gem_terminal.verifying.verify import Where, run_in_shell, verify
 
 if TYPE_CHECKING:

@@ -110,9 +110,7 @@ class _Environment(_Phase):
     gpus: Annotated[int, Field(ge=0)] | None = None
     gpu_types: list[str] | None = None
     tpu: Any = None
-    mcp_servers: list[Any] = []
     env: Env = {}
-    skills_dir: str | None = None
     healthcheck: _Check | None = None
     workdir: str | None = None
     allow_internet: bool | None = None
@@ -251,9 +249,6 @@ class _Reader:
         """Read an environment from its section, and the folder ``files`` with its Dockerfile or Compose file."""
         env = self._env(section.env, f"{field}.env")
         found = self._composed(section, files, field, env)
-        for key in ("mcp_servers", "skills_dir"):
-            if getattr(section, key):
-                self.folder.note(f"{FILE}: '{field}.{key}' has no effect: agents here have one terminal.")
         for key, what, asked in (
             ("os", f"the operating system {section.os[:60]!r}", section.os.strip().lower() != "linux"),
             ("gpus", f"{section.gpus} graphics cards", section.gpus),
@@ -305,9 +300,6 @@ class _Reader:
         instruction = folder.text(f"{below}instruction.md").strip()
         if not instruction:
             folder.fail(f"{below}instruction.md", "the file is empty; expected what the agent is asked to do.")
-        for one in dict.fromkeys([f"{below}trajectory.json", "trajectory.json"]):
-            if folder.has_file(one):
-                folder.note(f"{one}: earlier context of an agent has no effect.")
         agent = _inherited(section.agent, self.file.agent)
         brought = self._brought(f"{below}workdir") if below else {}
         least = section.min_reward or {}
@@ -398,7 +390,7 @@ class _Reader:
             if one.service != "main":
                 if separate:
                     self.folder.refused.append(f"{FILE}: 'artifacts' of the service {one.service!r}")
-            elif not source or ".." in source.split("/") or "\0" in source:
+            elif not source.strip("/") or ".." in source.split("/") or "\0" in source:
                 if separate:
                     self.folder.fail(FILE, f"'artifacts' has {one.source[:100]!r}; expected an absolute path.")
                 self.folder.note(f"{FILE}: 'artifacts' has {one.source[:100]!r}, no absolute path, which is not taken.")

@@ -11,31 +11,18 @@ import posixpath
 import tarfile
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, BinaryIO, cast
 
 import docker
 import docker.errors
 
-from gem_core.errors import UsageError
-
 if TYPE_CHECKING:
     from gem_terminal.backends.docker.engine import Client
 
 _CHUNK = 65536
 _IN_MEMORY = 4_000_000
-
-
-def check_paths(paths: Iterable[str]) -> None:
-    """Raise where a path cannot be one of a file.
-
-    Raises:
-        UsageError: A path is not absolute, or is the root itself.
-    """
-    for path in paths:
-        if not path.startswith("/") or posixpath.normpath(path) in ("/", "//"):
-            raise UsageError(f"{path!r} is no absolute path of a file or folder in a machine: name one as '/tests'")
 
 
 @contextlib.contextmanager

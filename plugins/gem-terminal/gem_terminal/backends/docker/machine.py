@@ -7,14 +7,13 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import IO, TYPE_CHECKING, Any, BinaryIO, Self
 
 import docker.errors
 
 from gem_terminal.backends.docker import files as moving
+from gem_terminal.backends.docker import running
 from gem_terminal.backends.docker.engine import FAILURES, Client, Engine, is_full
-from gem_terminal.backends.docker.processes import LIST, came_from, kill_command, read_list
 from gem_terminal.backends.docker.running import DockerTerminal, Program, follow
 from gem_terminal.backends.docker.starting import KEEPER
 from gem_terminal.backends.docker.sweeping import Thing, remove
@@ -121,13 +120,11 @@ class DockerMachine:
 
     def put(self, files: Mapping[str, Path | bytes | None], *, mode: int | None = None) -> None:
         """Write files, and folders with all that is in them, as root; what is there is replaced, folders whole."""
-        moving.check_paths(files)
         with moving.put_archive(files, mode) as archive:
             self._unpack(archive)
 
     def get(self, path: str, *, most_bytes: int = 10_000_000) -> dict[str, bytes]:
         """Return the regular files at ``path``: a file, or a folder with all below it; a link is not followed."""
-        moving.check_paths([path])
         with self._asking("get files out of a machine") as client:
             try:
                 return moving.get_files(client, self.id, path, most_bytes)
@@ -137,7 +134,6 @@ class DockerMachine:
 
     def save(self, path: str, file: BinaryIO, *, most_bytes: int) -> bool:
         """Write a tar archive of a file or folder; False when there is nothing at the path."""
-        moving.check_paths([path])
         with self._asking("copy files out of a machine") as client:
             try:
                 if moving.save_archive(client, self.id, path, file, most_bytes):
@@ -149,13 +145,11 @@ class DockerMachine:
 
     def load(self, path: str, file: BinaryIO) -> None:
         """Unpack an archive of ``save`` so that what it holds stands at a path; what is there is replaced."""
-        moving.check_paths([path])
         with moving.load_archive(file, path) as archive:
             self._unpack(archive)
 
     def remove_files(self, paths: Sequence[str]) -> None:
         """Remove files and folders, following no links at their ends; what is not there is no error."""
-        moving.check_paths(paths)
         done = self.run(["rm", "-rf", "--", *paths], user="root", workdir="/", timeout_s=_REMOVE_S)
         if done.exit_code != 0:
             said = " ".join(done.output.decode("utf-8", "replace").split())[:300]
@@ -163,13 +157,13 @@ class DockerMachine:
 
     def processes(self) -> list[Process]:
         """Return all processes but those that keep the machine."""
-        output, pid = self._ask(LIST)
-        return read_list(output, pid)
+        output, pid = self._ask(running.LIST)
+        return running.read_list(output, pid)
 
     def kill(self, processes: Sequence[Process]) -> None:
         """Kill processes with SIGKILL; one that has ended, or whose number is another's by now, is left alone."""
         if processes:
-            self._ask(kill_command(processes))
+            self._ask(running.kill_command(processes))
 
     def make_room(self) -> None:
         """Allow a few more processes each time, up to twice as many, and a little more memory."""
@@ -229,9 +223,7 @@ class DockerMachine:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.remove()
 
     @contextlib.contextmanager
@@ -310,7 +302,7 @@ class DockerMachine:
         if started is None:
             return
         for _ in range(_ROUNDS):
-            found = came_from(processes, pid, started)
+            found = running.came_from(processes, pid, started)
             if not found:
                 return
             self.kill(found)

@@ -1,12 +1,11 @@
 """What the checks share: reading what the agent left, and running it, within limits and without rights.
 
-Programs of the agent's run as a user who owns nothing here, where this system lets the checks change users: what they
-do then cannot reach the checks, their files or the reward.
+Programs of the agent's run as a user who owns nothing here: what they do cannot reach the checks, their files or the
+reward.
 """
 
 import contextlib
 import ctypes
-import functools
 import os
 import resource
 import signal
@@ -17,6 +16,7 @@ import time
 
 MOST_BYTES = 5_000_000
 NOBODY = 65534
+AS_NOBODY = {"user": NOBODY, "group": NOBODY, "extra_groups": []} if os.getuid() == 0 else {}  # as in a container
 NO_NEW_PRIVILEGES = 38  # PR_SET_NO_NEW_PRIVS, prctl(2): no program makes a user another, whatever its permissions
 
 
@@ -53,29 +53,11 @@ def files_below(folder):
     return sorted(found)
 
 
-@functools.cache
-def can_change_users():
-    """Say whether programs can be run as nobody, in folders that are nobody's; a sandbox may have one user only."""
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            os.chown(folder, NOBODY, NOBODY)
-            made = os.path.join(folder, "made")
-            subprocess.run(["mkdir", made], check=True, timeout=30, **_as_nobody())
-            return os.stat(made).st_uid == NOBODY
-    except (OSError, subprocess.SubprocessError):
-        return False
-
-
-def _as_nobody():
-    return {"user": NOBODY, "group": NOBODY, "extra_groups": []}
-
-
 def give(folder):
     """Let the programs that are run write in a folder, and in all that is in it."""
-    if can_change_users():
-        for here, folders, names in os.walk(folder):
-            for path in [here, *(os.path.join(here, name) for name in folders + names)]:
-                os.chown(path, NOBODY, NOBODY, follow_symlinks=False)
+    for here, folders, names in os.walk(folder):
+        for path in [here, *(os.path.join(here, name) for name in folders + names)]:
+            os.chown(path, NOBODY, NOBODY, follow_symlinks=False)
 
 
 def _limit():
@@ -94,7 +76,7 @@ def started(*command, cwd=None, out=subprocess.DEVNULL, errors=subprocess.DEVNUL
         stderr=errors,
         start_new_session=True,
         preexec_fn=_limit,
-        **(_as_nobody() if can_change_users() else {}),
+        **AS_NOBODY,
     )
     try:
         yield process
