@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,19 +41,18 @@ def judged(
     *,
     machine: ToyMachine | None = None,
     backend: ToyBackend | None = None,
-    more: dict[str, Any] | None = None,
+    limits: Limits = Limits(),  # noqa: B008 - immutable
+    how: dict[str, Any] | None = None,
+    setup: tuple[str, ...] = (),
     **said: Any,
 ) -> Verdict:
-    """Verify one step of a task of its own."""
-    made = task(tmp_path, verifier(tmp_path, **said))
-    return verify(
-        as_machine(machine or ToyMachine(tests)),
-        made,
-        made.steps[0],
-        backend=as_backend(backend or ToyBackend(untouched)),
-        limits=Limits(),
-        **(more or {}),
-    )
+    """Verify the step of a task of its own."""
+    made = task(tmp_path, verifier(tmp_path, **said), setup=setup)
+    at, judges = as_machine(machine or ToyMachine(tests)), as_backend(backend or ToyBackend(untouched))
+    return verify(at, made, made.steps[0], backend=judges, limits=limits, **(how or {}))
+
+
+JUDGE = {"where": "judge", "artifacts": ("/app",)}
 
 
 def test_tests_run_in_the_agents_machine_as_the_task_says(tmp_path: Path) -> None:
@@ -71,35 +71,16 @@ def test_tests_run_in_the_agents_machine_as_the_task_says(tmp_path: Path) -> Non
 def test_judge_gets_what_the_task_declares_or_else_the_artifacts(
     tmp_path: Path, declared: tuple[str, ...], carried: set[str]
 ) -> None:
-    """In a fresh machine, and nothing else of the agent's; it is removed afterwards."""
+    """In a fresh machine that was made ready for the step, nothing else of the agent's; it is removed afterwards."""
     machine, backend = ToyMachine(NOTHING), ToyBackend(SOLVED)
     machine.files = {"/app/out/a": b"1", "/app/one.txt": b"2", "/etc/one": b"3", "/logs/verifier/reward.json": b"1"}
-    more = {"where": "judge", "artifacts": ("/app",)}
-    verdict = judged(tmp_path, None, machine=machine, backend=backend, artifacts=declared, more=more)
-    assert (verdict.passed, verdict.info["where"]) == (True, "judge")
-    judge = backend.started[0]
-    assert {path for path in judge.files if not path.startswith(("/tests", "/logs"))} == carried
-    assert judge.removed
-    assert not machine.removed
-
-
-def test_judge_is_made_ready_for_the_step_before_anything_is_carried(tmp_path: Path) -> None:
-    machine, backend = ToyMachine(NOTHING), ToyBackend(SOLVED)
-    made = task(tmp_path, verifier(tmp_path), setup=("prepare", "it"))
-    verify(
-        as_machine(machine),
-        made,
-        made.steps[0],
-        backend=as_backend(backend),
-        limits=Limits(),
-        where="judge",
-        artifacts=("/app",),
+    verdict = judged(
+        tmp_path, None, machine=machine, backend=backend, setup=("prepare", "it"), artifacts=declared, how=JUDGE
     )
-    assert [*backend.log, *machine.log] == [
-        "start",
-        *(f"fresh: {what}" for what in ("pwd", "prepare", "tests", "gone")),
-        "agent: save /app",
-    ]
+    assert (verdict.passed, verdict.info["where"]) == (True, "judge")
+    assert {path for path in backend.started[0].files if not path.startswith(("/tests", "/logs"))} == carried
+    assert backend.log == ["start", *(f"fresh: {what}" for what in ("pwd", "prepare", "tests", "gone"))]
+    assert not machine.removed
 
 
 @pytest.mark.parametrize("where", ["machine", "judge"])
@@ -107,9 +88,8 @@ def test_environment_of_its_own_gets_what_the_task_declares_and_nothing_else(tmp
     """In both modes."""
     machine, backend, own = ToyMachine(NOTHING), ToyBackend(SOLVED), Environment(Container())
     machine.files = {"/app/out/a": b"1", "/app/secret": b"2", "/app/one.txt": b"3"}
-    declared = ("/app/out/", "/app/one.txt", "/app/none")
-    more = {"where": where, "artifacts": ("/app",)}
-    verdict = judged(tmp_path, None, machine=machine, backend=backend, environment=own, artifacts=declared, more=more)
+    said = {"environment": own, "artifacts": ("/app/out/", "/app/one.txt", "/app/none")}
+    verdict = judged(tmp_path, None, machine=machine, backend=backend, how={**JUDGE, "where": where}, **said)
     assert (verdict.passed, verdict.info["where"]) == (True, "separate")
     assert backend.environments == [own]
     assert {path for path in backend.started[0].files if path.startswith("/app")} == {"/app/out/a", "/app/one.txt"}
@@ -121,10 +101,8 @@ def test_environment_of_its_own_gets_what_the_task_declares_and_nothing_else(tmp
 )
 def test_network_of_its_own_is_that_of_a_judge(tmp_path: Path, asked: str, overruled: str, where: str) -> None:
     """A running machine cannot be given another; where the caller overrules it, there is but one."""
-    backend, machine = ToyBackend(SOLVED), ToyMachine(SOLVED)
-    made = task(tmp_path, verifier(tmp_path, network=asked))
-    limits = Limits(network=overruled)
-    verdict = verify(as_machine(machine), made, made.steps[0], backend=as_backend(backend), limits=limits)
+    backend = ToyBackend(SOLVED)
+    verdict = judged(tmp_path, SOLVED, backend=backend, limits=Limits(network=overruled), network=asked)
     assert (verdict.passed, verdict.info["where"]) == (True, where)
     assert [given and given.network for given in backend.environments] == ["public"] * (where == "judge")
 
@@ -132,16 +110,7 @@ def test_network_of_its_own_is_that_of_a_judge(tmp_path: Path, asked: str, overr
 def test_what_is_too_large_for_a_judge_is_the_agents_fault(tmp_path: Path) -> None:
     machine = ToyMachine(NOTHING)
     machine.files = {"/app/big": b"x" * 3_000_000}
-    made = task(tmp_path, verifier(tmp_path))
-    verdict = verify(
-        as_machine(machine),
-        made,
-        made.steps[0],
-        backend=as_backend(ToyBackend(SOLVED)),
-        limits=Limits(storage_mb=1),
-        where="judge",
-        artifacts=("/app",),
-    )
+    verdict = judged(tmp_path, None, machine=machine, limits=Limits(storage_mb=1), how=JUDGE)
     assert (verdict.passed, verdict.problem, verdict.blame) == (False, "machine", "agent")
 
 
@@ -160,7 +129,6 @@ def test_tests_that_run_out_of_time_do_not_pass_whatever_they_wrote(tmp_path: Pa
 
     verdict = judged(tmp_path, hang)
     assert (verdict.passed, verdict.problem, verdict.blame) == (False, "timeout", "agent")
-    assert verdict.detail == "the tests took longer than 5 seconds, and were killed"
 
 
 @pytest.mark.parametrize(
@@ -181,7 +149,8 @@ def test_score_is_the_reward_or_the_only_number_or_the_mean(
 
 def test_unreadable_result_is_a_problem_in_words(tmp_path: Path) -> None:
     verdict = judged(tmp_path, writes(reward_txt=b"full marks"))
-    assert (verdict.problem, verdict.detail) == ("unreadable", "reward.txt has 'full marks'; it must be one number")
+    assert verdict.problem == "unreadable"
+    assert "'full marks'" in verdict.detail
 
 
 def test_task_is_to_blame_when_an_untouched_machine_gives_no_verdict_either(tmp_path: Path) -> None:
@@ -192,22 +161,15 @@ def test_task_is_to_blame_when_an_untouched_machine_gives_no_verdict_either(tmp_
 def test_trial_on_an_untouched_machine_is_made_once_for_a_version_of_a_task(tmp_path: Path) -> None:
     """By one of several threads, on a machine that is made ready for the step."""
     backend = ToyBackend(SOLVED)
-    made = task(tmp_path, verifier(tmp_path), setup=("prepare", "it"))
     with ThreadPoolExecutor(4) as pool:
-        verdicts = list(
-            pool.map(
-                lambda _: verify(
-                    as_machine(ToyMachine(NOTHING)), made, made.steps[0], backend=as_backend(backend), limits=Limits()
-                ),
-                range(8),
-            )
-        )
+        one = partial(judged, tmp_path, NOTHING, backend=backend, setup=("prepare", "it"))
+        verdicts = list(pool.map(lambda _: one(), range(8)))
     assert {verdict.blame for verdict in verdicts} == {"agent"}
     assert backend.log == ["start", "fresh: pwd", "fresh: prepare", "fresh: tests", "fresh: gone"]
 
 
 def test_nobody_is_blamed_without_a_trial(tmp_path: Path) -> None:
-    verdict = judged(tmp_path, NOTHING, more={"control": False})
+    verdict = judged(tmp_path, NOTHING, how={"control": False})
     assert (verdict.problem, verdict.blame) == ("no_result", None)
 
 
@@ -273,8 +235,8 @@ def test_agents_own_shell_runs_the_tests_of_a_task_that_asks_for_it(
         asked.append((tuple(command), seconds))
         return SOLVED(machine)  # type: ignore[no-any-return]
 
-    more = {"same_shell": in_shell, "where": where}
-    verdict = judged(tmp_path, None, machine=machine, more=more, same_shell=asks)
+    how = {"same_shell": in_shell, "where": where}
+    verdict = judged(tmp_path, None, machine=machine, how=how, same_shell=asks)
     assert (verdict.passed, verdict.info["where"]) == (True, expected)
     assert asked == [(("bash", "/tests/test.sh"), 5.0)] * (expected == "shell")
 

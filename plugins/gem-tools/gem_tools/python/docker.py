@@ -12,6 +12,8 @@ import shutil
 import subprocess
 from collections.abc import Mapping, Sequence
 
+from gem_core.container_engine import find_engine
+from gem_core.errors import MissingRequirementError
 from gem_tools.python.errors import Unavailable
 
 LABEL = "gem-tools=python"
@@ -54,7 +56,7 @@ def run_words(
         folder_mb: Size of ``/tmp``, the only place to write, in megabytes.
         folder_files: Limit of the files and folders in it.
     """
-    words = ["docker", "run", "--rm", "--interactive", "--pull", "never", "--name", name, "--label", LABEL]
+    words = [*_client(), "run", "--rm", "--interactive", "--pull", "never", "--name", name, "--label", LABEL]
     # No log: the engine would keep all that passes between the container and this process on its disk.
     words += ["--network", "none", "--ipc", "none", "--read-only", "--log-driver", "none", "--cap-drop", "ALL"]
     words += ["--security-opt", "no-new-privileges", "--pids-limit", "1024", "--ulimit", "core=0"]
@@ -82,10 +84,10 @@ def check(image: str) -> None:
     if shutil.which("docker") is None:
         raise Unavailable("the command 'docker' is not on the PATH: install Docker's client and start an engine")
     try:
+        find_engine()
         done = _ask("image", "inspect", "--format", "{{.Id}}", image)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        reason = f"the container engine does not answer ({type(error).__name__}): start it, or set DOCKER_HOST"
-        raise Unavailable(reason) from error
+    except (MissingRequirementError, OSError, subprocess.TimeoutExpired) as error:
+        raise Unavailable(f"the container engine does not answer: {error}") from error
     if done.returncode:
         words = " ".join(done.stderr.split())[:300]
         if any(said in words.lower() for said in _NO_IMAGE):
@@ -101,9 +103,18 @@ def remove(name: str) -> None:
         _ask("rm", "--force", "--volumes", name)
 
 
+def _client() -> list[str]:
+    """Return the command of Docker's client, which looks for no engine at Podman's sockets by itself."""
+    try:
+        place = find_engine()
+    except MissingRequirementError:
+        return ["docker"]  # whose own error is told
+    return ["docker", "--host", place.url] if place.source == "usual place" else ["docker"]
+
+
 def _ask(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        ["docker", *words],
+        [*_client(), *words],
         capture_output=True,
         stdin=subprocess.DEVNULL,
         timeout=_ANSWER_S,
