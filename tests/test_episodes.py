@@ -7,7 +7,6 @@ import json
 import os
 import subprocess
 import sys
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -46,10 +45,11 @@ def written(path: Path, *episodes: Episode) -> list[Episode]:
 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
-    """All fields, and what the server reported of each response."""
+    """All fields, and what the server reported of each response; folders above the file are made."""
     original = episode(options={"index": 2}, group="g", key="4", repeat=1, tools=["python"], wrappers=[["concat", {}]])
-    (read,) = written(tmp_path / "run.jsonl", original)
+    (read,) = written(tmp_path / "runs" / "today" / "run.jsonl", original)
     assert read == original
+    assert (read.episode_return, read.turns) == (1.5, 2)
     assert read.transitions[0].action.token_ids == [1, 2]
     assert type(read.transitions[0].action) is Response
 
@@ -76,13 +76,6 @@ def test_text_and_keys_that_json_would_confuse_are_read_back(tmp_path: Path, val
     """Surrogates side by side stay two, and keys that the file itself uses stay what they are."""
     (read,) = written(tmp_path / "run.jsonl", episode(info={"value": value}))
     assert read.info == {"value": value}
-
-
-def test_figures_of_an_episode() -> None:
-    """Return, turns, success and error."""
-    assert (episode().episode_return, episode().turns, episode().success, episode().error) == (1.5, 2, True, None)
-    failed = episode(transitions=[], info={"error": {"kind": "x", "message": "y"}, "correct": True})
-    assert (failed.success, failed.error) == (None, {"kind": "x", "message": "y"})
 
 
 def ended(last: dict[str, Any], first: dict[str, Any] | None = None, *, terminated: bool, **reported: Any) -> Episode:
@@ -149,26 +142,29 @@ def test_appending_to_a_torn_file_keeps_the_new_episodes_whole(tmp_path: Path) -
     ("line", "reason"),
     [
         (b"nonsense", "it is no valid JSON"),
-        (b"\xff\xfe", "it is no valid JSON"),
         (b"[" * 100_000, "it is no valid JSON"),
         (b"9" * 10_000, "it is no valid JSON"),
         (b"{}", "there is no schema_version"),
-        (b"[]", "there is no schema_version"),
         (b'{"schema_version": 99}', "it has form 99, and this version reads 1; upgrade gem-core"),
         (b'{"schema_version": 1}', "the record of an episode is damaged"),
-        (b'{"schema_version": 1, "transitions": [3]}', "the record of an episode is damaged"),
         (b'{"schema_version": 1, "transitions": [], "id": 3}', "the record of an episode is damaged"),
         (b'{"schema_version": 1, "transitions": [{"action": {"text": "a", "evil": 1}}]}', "is damaged"),
+        (
+            b'{"schema_version": 1, "transitions": [{"action": {"text": "a"}, "observation": "", "reward": 1%s}]}'
+            % (b"0" * 400),
+            "OverflowError",
+        ),
     ],
 )
 def test_damaged_lines_are_passed_over_with_the_reason(tmp_path: Path, line: bytes, reason: str) -> None:
     """Whatever stands in the file, the rest is read."""
     path = tmp_path / "run.jsonl"
     write_episodes(path, [episode()])
-    path.write_bytes(line + b"\n" + path.read_bytes())
+    path.write_bytes(line + b"\n" + path.read_bytes() + b"\n\n")
     with pytest.warns(EpisodeFileWarning) as caught:
         assert list(read_episodes(path)) == [episode()]
     assert reason in str(caught[0].message)
+    assert len(caught) == 1, "empty lines are nothing to report"
 
 
 @given(st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | ANY_TEXT, st.lists, max_leaves=10))
@@ -208,13 +204,7 @@ def test_values_that_json_does_not_know_do_not_stop_a_run(tmp_path: Path) -> Non
     assert "nested over" in json.dumps(to_plain(deep))
 
 
-def test_long_arguments_are_left_out_of_the_file(tmp_path: Path) -> None:
-    """Rows of a data set are referenced by id, never copied."""
-    (read,) = written(tmp_path / "run.jsonl", episode(kwargs={"rows": ["row"] * 1000, "length": 3}))
-    assert read.kwargs == {"length": 3}
-
-
-@pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGB", "RGBA", "I;16", "CMYK", "F", "I"])
+@pytest.mark.parametrize("mode", ["1", "P", "RGBA", "I;16", "CMYK", "F"])
 def test_images_are_read_back_without_loss(tmp_path: Path, mode: str) -> None:
     """Each is a side file named by its hash, written once."""
     pixels = Image.effect_noise((5, 4), 60)
@@ -243,23 +233,10 @@ def test_missing_and_damaged_images_are_reported(tmp_path: Path) -> None:
     image = Image.new("RGB", (2, 2))
     write_episodes(path, [episode(observation=[{"type": "image", "image": image}]), episode(seed=9)])
     (side_file,) = (tmp_path / "run.images").iterdir()
-    for damage in (b"", b"no image"):
-        side_file.write_bytes(damage)
+    for damage in (lambda: side_file.write_bytes(b"no image"), side_file.unlink):
+        damage()
         with pytest.warns(EpisodeFileWarning, match="cannot be read"):
             assert [read.seed for read in read_episodes(path)] == [9]
-    side_file.unlink()
-    with pytest.warns(EpisodeFileWarning, match="cannot be read"):
-        assert [read.seed for read in read_episodes(path)] == [9]
-
-
-def test_a_whole_file_gives_no_warning(tmp_path: Path) -> None:
-    """Empty lines are nothing to report."""
-    path = tmp_path / "run.jsonl"
-    write_episodes(path, [episode()])
-    path.write_bytes(path.read_bytes() + b"\n\n")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert len(list(read_episodes(path))) == 1
 
 
 class Shy:
@@ -281,14 +258,6 @@ def test_odd_values_never_stop_the_writing(value: Any, plain: Any, tmp_path: Pat
     assert next(read_episodes(path)).info["value"] == plain
 
 
-def test_reward_that_no_float_holds_is_a_damaged_record() -> None:
-    """It is passed over like every other damage."""
-    turn = {"observation": "", "action": {"text": ""}, "reward": 10**400, "terminated": True, "truncated": False}
-    record = {"schema_version": 1, "id": "a:b", "seed": 1, "observation": "", "transitions": [{**turn, "info": {}}]}
-    with pytest.raises(EpisodeFileError, match="damaged"):
-        Episode.from_dict({**record, "info": {}})
-
-
 def test_long_arguments_are_not_even_looked_through() -> None:
     """A data set among them would be written out for every episode otherwise."""
 
@@ -296,14 +265,9 @@ def test_long_arguments_are_not_even_looked_through() -> None:
         def __iter__(self) -> Any:
             raise AssertionError("looked through")
 
-    episode = Episode(id="a:b", seed=1, observation="", info={}, kwargs={"rows": Rows([1] * 5000), "high": 3})
+    kwargs = {"rows": Rows([1] * 5000), "text": ["row"] * 1000, "high": 3}
+    episode = Episode(id="a:b", seed=1, observation="", info={}, kwargs=kwargs)
     assert episode.to_dict()["kwargs"] == {"high": 3}
-
-
-def test_folders_above_the_file_are_made(tmp_path: Path) -> None:
-    """A run may name a folder that is not there yet."""
-    path = tmp_path / "runs" / "today" / "run.jsonl"
-    assert written(path, episode()) == [episode()]
 
 
 def test_what_contains_itself_is_cut_off_at_once() -> None:
