@@ -118,7 +118,7 @@ def test_a_tool_answers_its_seat_while_the_others_wait() -> None:
     assert infos["a"]["tool"]["name"] == "note"
     assert not any([*terminations.values(), *truncations.values()])
     assert (env.acting, env.agents) == (("a",), ["a", "b"])
-    with pytest.raises(ArgumentError, match="'b' is not wanted; 'a'"):
+    with pytest.raises(ArgumentError, match="'b' is not wanted: 'a'"):
         env.step({"a": "1", "b": "1"})
     assert env.step({"a": NOTE.format("second")})[0].keys() == {"a"}
     _, rewards, terminations, _, infos = env.step({"a": "3"})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
@@ -107,28 +107,27 @@ def named(agents: Iterable[str]) -> str:
     return ", ".join(map(repr, agents))
 
 
-def check_actions(env: Any, actions: Mapping[str, str]) -> None:
+def check_actions(acting: Collection[str], actions: Mapping[str, str], where: str = "") -> None:
     """Refuse what is not one action of each agent that acts now, and of no other.
 
     Args:
-        env: The environment of several agents.
+        acting: Who has to act now.
         actions: What was given to ``step``.
+        where: Place for an error, as ``" in slot 3"``.
 
     Raises:
         ArgumentError: An action is missing, is of an agent that does not act now, or is no text.
-        ResetNeededError: Nobody acts.
     """
-    acting = env.acting
-    if not acting:
-        raise reset_needed(env)
     if not isinstance(actions, Mapping):
-        raise ArgumentError(f"actions are {{agent: response}}, here of {named(acting)}, not {actions!r:.100}")
-    if wrong := [agent for agent in (*acting, *actions) if agent not in actions or agent not in acting]:
-        problem = "is missing" if wrong[0] in acting else "is not wanted"
-        raise ArgumentError(f"the action of {wrong[0]!r} {problem}; {named(acting)} must act now, and nobody else")
-    for agent, action in actions.items():
-        if not isinstance(action, str):
-            refuse_action(action, f" of {agent!r}")
+        raise ArgumentError(f"actions{where} are {{agent: response}}, here of {named(acting)}, not {actions!r:.100}")
+    for agent in (*acting, *actions):
+        if agent not in actions or agent not in acting:
+            problem = "is missing" if agent in acting else "is not wanted"
+            raise ArgumentError(
+                f"the action of {agent!r}{where} {problem}: {named(acting)} must act now, and nobody else"
+            )
+        if not isinstance(actions[agent], str):
+            refuse_action(actions[agent], f" of {agent!r}{where}")
 
 
 def checked_beginning(name: str, possible: Sequence[str], agents: Sequence[str], told: Any) -> Mapping[str, Info]:

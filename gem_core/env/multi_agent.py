@@ -224,7 +224,9 @@ class MultiAgentEnv(Env):
             ResetNeededError: The episode is over or has not begun.
         """
         name = self.env_id or type(self).__name__
-        check_actions(self, actions)
+        if not self.acting:
+            raise reset_needed(self)
+        check_actions(self.acting, actions)
         result = self.process_actions(dict(actions))
         rewards, terminations, truncations, told = checked_verdict(name, self.agents, result)
         self.__steps += 1

@@ -275,7 +275,9 @@ class SeatWrappers(MultiAgentEnv):
 
     async def step_async(self, actions: Mapping[str, str]) -> JointStepResult:  # type: ignore[override]
         """``step`` for code that runs in an event loop; the wrappers of several seats work side by side."""
-        check_actions(self, actions)
+        if not self.acting:
+            raise reset_needed(self)
+        check_actions(self.acting, actions)
         answers = await side_by_side({agent: self._seats[agent].hand_in(action) for agent, action in actions.items()})
         results = {agent: result for agent, result in answers.items() if result is not None}
         if not results:

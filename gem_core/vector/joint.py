@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
+from gem_core.env.checks import check_actions
 from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv
 from gem_core.errors import ArgumentError
 from gem_core.types import TERMINAL_STATE, ResetResult, StepResult
@@ -58,20 +59,7 @@ def check_joint_action(slot: int, action: object, observation: object) -> None:
         ArgumentError: One action is given and several agents act, or the other way round; or an action is missing,
             unwanted, or no text.
     """
-    if not isinstance(observation, dict):
-        if isinstance(action, Mapping):
-            raise ArgumentError(
-                f"one agent acts in slot {slot}: its action is a str or a Response, not {action!r:.100}"
-            )
-        return
-    acting = ", ".join(map(repr, observation))
-    if not isinstance(action, Mapping):
-        raise ArgumentError(f"an action for slot {slot} is {{agent: response}}, here of {acting}, not {action!r:.100}")
-    if action.keys() != observation.keys():
-        given = ", ".join(map(repr, action)) or "nobody"
-        raise ArgumentError(f"the action for slot {slot} is of {given}, and {acting} act now")
-    for agent, response in action.items():
-        if not isinstance(response, str):
-            raise ArgumentError(
-                f"an action is a str or a Response, and that of {agent!r} in slot {slot} is a {type(response).__name__}"
-            )
+    if isinstance(observation, dict):
+        check_actions(observation, cast("Mapping[str, str]", action), f" in slot {slot}")
+    elif isinstance(action, Mapping):
+        raise ArgumentError(f"one agent acts in slot {slot}: its action is a str or a Response, not {action!r:.100}")
