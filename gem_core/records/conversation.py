@@ -6,14 +6,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from gem_core.env.observations import is_messages, join_observations, observation_from
 from gem_core.records.plain_json import to_plain
 from gem_core.types import TERMINAL_STATE, Info, Observation
-
-if TYPE_CHECKING:
-    from gem_core.records.episode import Episode
 
 ChatMessage = dict[str, Any]
 
@@ -123,12 +120,12 @@ class Conversation:
     """The history of an episode so far, whatever its view: built from its record, each turn when it is needed.
 
     Args:
-        episode: It may still be under way.
+        episode: An ``Episode``, which may still be under way.
 
     ``system`` is the text of the system message, None without one.
     """
 
-    def __init__(self, episode: Episode) -> None:
+    def __init__(self, episode: Any) -> None:
         self._episode = episode
         # Records of earlier versions do not say what was sent; they may have had a view.
         self._viewed = "view" in episode.info or episode.reads is None
