@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -50,14 +50,13 @@ def new_run_folder(name: str) -> Path:
         EpisodeFileError: It cannot be made.
     """
     stem = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    for number in range(1, 1000):
+    number = 1
+    while True:
         path = Path("runs") / (stem if number == 1 else f"{stem}-{number}")
-        with suppress(FileExistsError):
-            try:
-                path.mkdir(parents=True)
-            except FileExistsError:
-                raise
-            except OSError as error:
-                raise EpisodeFileError(f"cannot write {path}: {error.strerror or error}") from error
+        try:
+            path.mkdir(parents=True)
             return path
-    raise EpisodeFileError(f"there is no free name for a folder in runs/ like {stem}")
+        except FileExistsError:
+            number += 1
+        except OSError as error:
+            raise EpisodeFileError(f"cannot write {path}: {error.strerror or error}") from error

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from gem_core.records import Range, shared_range
+from gem_eval.grouping import grouped
 from gem_eval.statistics import Estimate, mean, pass_at, pass_hat, row_means
 
 if TYPE_CHECKING:
@@ -95,25 +96,18 @@ def compute_scores(episodes: Iterable[Row]) -> list[Score]:
         return; then, for each model, those of all its environments together, where there are several. Of several
         agents, each seat is an environment of its own, and there is no sum, which would mix the two sides of a game.
     """
-    seated = False
-    by_pair: dict[tuple[str, str], list[Row]] = {}
-    by_env: dict[str, list[Row]] = {}
-    for episode in episodes:
-        seated |= episode.seat is not None
-        by_pair.setdefault((episode.id, episode.model), []).append(episode)
-        by_env.setdefault(episode.id, []).append(episode)
-    tells = {env_id for env_id, played in by_env.items() if tells_success(played)}
+    played = list(episodes)
+    tells = {env_id for env_id, own in grouped(played, lambda row: row.id).items() if tells_success(own)}
     scores = []
-    by_model: dict[str, dict[Metric, list[list[Row]]]] = {}
-    for (env_id, model), played in by_pair.items():
+    for (env_id, model), own in grouped(played, lambda row: (row.id, row.model)).items():
         metrics: list[Metric] = ["success", "return"] if env_id in tells else ["return"]
-        for metric in metrics:
-            scores.append(_score(env_id, model, metric, played))
-            by_model.setdefault(model, {}).setdefault(metric, []).append(played)
-    for model, by_metric in by_model.items():
-        for metric, parts in by_metric.items():
-            if len(parts) > 1 and not seated:
-                scores.append(_score("all", model, metric, [episode for part in parts for episode in part]))
+        scores += [_score(env_id, model, metric, own) for metric in metrics]
+    if any(row.seat is not None for row in played):
+        return scores
+    for model, own in grouped(played, lambda row: row.model).items():
+        telling = [row for row in own if row.id in tells]
+        together: list[tuple[Metric, list[Row]]] = [("success", telling), ("return", own)]
+        scores += [_score("all", model, metric, rows) for metric, rows in together if len({row.id for row in rows}) > 1]
     return scores
 
 
@@ -146,12 +140,9 @@ class RowScore:
 
 def compute_row_scores(episodes: Iterable[Row]) -> list[RowScore]:
     """Compute how each model did at each row, in order of first appearance."""
-    played: dict[tuple[str, str, str], list[Row]] = {}
-    for episode in episodes:
-        if episode.error is None:
-            played.setdefault((episode.id, episode.model, episode.row), []).append(episode)
+    counted = (episode for episode in episodes if episode.error is None)
     found = []
-    for key, each in played.items():
+    for key, each in grouped(counted, lambda row: (row.id, row.model, row.row)).items():
         returns = [episode.episode_return for episode in each]
         told = [episode.success for episode in each if episode.success is not None]
         spread = statistics.stdev(returns) if len(returns) > 1 else None

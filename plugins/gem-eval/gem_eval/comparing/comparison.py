@@ -11,6 +11,7 @@ from gem_core.errors import ArgumentError
 from gem_core.records import Range, shared_range
 from gem_eval.comparing.cautions import cautions_of
 from gem_eval.comparing.sides import Given, Played, Side, Task, sides_of
+from gem_eval.grouping import grouped
 from gem_eval.scores import Metric, tells_success
 from gem_eval.statistics import (
     Estimate,
@@ -266,10 +267,7 @@ def paired_differences(a: Side, b: Side, metric: Metric) -> list[Difference]:
 
 
 def _telling_tasks(sides: Iterable[Side]) -> set[str]:
-    by_id: dict[str, list[Row]] = {}
-    for side in sides:
-        for row in side.rows:
-            by_id.setdefault(row.id, []).append(row)
+    by_id = grouped((row for side in sides for row in side.rows), lambda row: row.id)
     return {name for name, rows in by_id.items() if tells_success(rows)}
 
 
@@ -294,10 +292,8 @@ def _are_verdicts(pairs: Pairs) -> bool:
 
 def _differences(pairs: Pairs, *, verdicts: bool, scored: bool = False) -> tuple[list[Difference], Difference]:
     """Return the difference on each task, and on all."""
-    by_id: dict[str, dict[Task, tuple[Played, Played]]] = {}
-    for task, pair in pairs.items():
-        by_id.setdefault(task[0], {})[task] = pair
-    tasks = _corrected([_difference(name, own, verdicts=verdicts, scored=scored) for name, own in by_id.items()])
+    by_id = grouped(pairs.items(), lambda item: item[0][0])
+    tasks = _corrected([_difference(name, dict(own), verdicts=verdicts, scored=scored) for name, own in by_id.items()])
     return tasks, tasks[0] if len(tasks) == 1 else _difference("all", pairs, verdicts=verdicts, scored=scored)
 
 

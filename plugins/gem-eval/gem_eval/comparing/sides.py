@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from gem_core.errors import ArgumentError
 from gem_core.suggestions import did_you_mean
+from gem_eval.grouping import grouped
 from gem_eval.opening import require_episodes
 from gem_eval.records import Row, Run, open_run
 from gem_eval.scoring.file import ScoreFile
@@ -58,37 +59,29 @@ class Side:
             counts: Whether an episode counts at all.
         """
         found: dict[Task, Played] = {}
-        for row in self.rows:
-            if counts(row):
-                found.setdefault((row.id, row.row), Played()).add(row, self.value(row, metric))
+        for row in filter(counts, self.rows):
+            played = found.setdefault((row.id, row.row), Played())
+            if (value := self.value(row, metric)) is not None:
+                played.rows.append(row)
+                played.values.append(value)
+            elif row.error is None:
+                played.unscored += 1
         return found
 
 
 @dataclass
 class Played:
-    """The episodes of one row: those that have a value, and how many have none.
+    """The episodes of one row.
 
     Args:
         rows: Episodes with a value.
         values: Their values.
-        errors: Number of episodes that ended in an error.
         unscored: Number of episodes without a verdict.
     """
 
     rows: list[Row] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
-    errors: int = 0
     unscored: int = 0
-
-    def add(self, row: Row, value: float | None) -> None:
-        """Add an episode."""
-        if value is not None:
-            self.rows.append(row)
-            self.values.append(value)
-        elif row.error is not None:
-            self.errors += 1
-        else:
-            self.unscored += 1
 
     @property
     def mean(self) -> float:
@@ -144,10 +137,7 @@ def sides_of(given: Iterable[Given], models: Sequence[str] = (), scores: str | N
 def models_of(run: Run, scores: str | None = None) -> list[Side]:
     """Return each model of a run, in order of appearance and without a label; see ``sides_of``."""
     values = None if scores is None else ScoreFile.of(run, scores).means()
-    rows: dict[str, list[Row]] = {}
-    for row in run.rows:
-        rows.setdefault(row.model, []).append(row)
-    return [Side("", run, model, own, values) for model, own in rows.items()]
+    return [Side("", run, model, own, values) for model, own in grouped(run.rows, lambda row: row.model).items()]
 
 
 def _run_and_model(given: str | Path | Run) -> tuple[Run, str | None]:

@@ -14,8 +14,9 @@ from gem_eval.exporting.episodes import write_jsonl
 from gem_eval.exporting.inspect_log import Part, write_eval, write_json
 from gem_eval.exporting.tables import write_csv, write_parquet
 from gem_eval.files import whole_file
+from gem_eval.grouping import grouped
 from gem_eval.opening import warn_of_damage
-from gem_eval.records import Row, Run, open_run
+from gem_eval.records import Run, open_run
 from gem_eval.scores import compute_scores
 
 _LOGS = {".json": write_json, ".eval": write_eval}
@@ -102,7 +103,5 @@ def _write_logs(runs: Sequence[Run], out: Path) -> int:
 
 
 def _parts(run: Run) -> list[Part]:
-    rows: dict[tuple[str, str], list[Row]] = {}
-    for row in run.rows:
-        rows.setdefault((row.id, row.model), []).append(row)
+    rows = grouped(run.rows, lambda row: (row.id, row.model))
     return [Part(run, task, model, own, compute_scores(own)) for (task, model), own in rows.items()]

@@ -12,6 +12,7 @@ from gem_core.cli import counted
 from gem_eval import figures
 from gem_eval.comparing.comparison import paired_differences
 from gem_eval.comparing.sides import Side, labelled, models_of
+from gem_eval.grouping import grouped
 from gem_eval.scores import Metric, Score, compute_scores
 
 if TYPE_CHECKING:
@@ -220,12 +221,10 @@ def endings(rows: Sequence[Row]) -> list[str]:
 
 def solved_counts(rows: Sequence[Row]) -> tuple[int, list[int]]:
     """Return k, the most epochs of a row, and of the rows with so many how many were solved 0, 1, … k times."""
-    by_row: dict[tuple[str, str], list[bool]] = {}
-    for row in rows:
-        if row.success is not None:
-            by_row.setdefault((row.id, row.row), []).append(row.success)
-    k = max(map(len, by_row.values()), default=0)
-    counts = Counter(sum(verdicts) for verdicts in by_row.values() if len(verdicts) == k)
+    told = [row for row in rows if row.success is not None]
+    by_row = grouped(told, lambda row: (row.id, row.row)).values()
+    k = max(map(len, by_row), default=0)
+    counts = Counter(sum(bool(row.success) for row in own) for own in by_row if len(own) == k)
     return k, [counts[times] for times in range(k + 1)]
 
 
@@ -251,18 +250,11 @@ def choose_examples(entrants: Sequence[Entrant], limit: int) -> list[tuple[Entra
 
 
 def _entrants(runs: Sequence[Run]) -> list[Entrant]:
-    sides: list[Side] = []
-    scores: list[dict[tuple[str, Metric], Score]] = []
-    for run in runs:
-        computed = compute_scores(run.rows)
-        for side in models_of(run):
-            sides.append(side)
-            scores.append({(score.id, score.metric): score for score in computed if score.model == side.model})
+    scores = {run.path: compute_scores(run.rows) for run in runs}
     entrants = []
-    for place, (side, own) in enumerate(zip(labelled(sides), scores, strict=True)):
-        by_task: dict[str, list[Row]] = {}
-        for row in side.rows:
-            by_task.setdefault(row.id, []).append(row)
+    for place, side in enumerate(labelled([side for run in runs for side in models_of(run)])):
+        own = {(score.id, score.metric): score for score in scores[side.run.path] if score.model == side.model}
+        by_task = grouped(side.rows, lambda row: row.id)
         entrants.append(Entrant(place, side.label, side.run, side.model, side.rows, by_task, own))
     return entrants
 

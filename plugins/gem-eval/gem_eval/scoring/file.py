@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Self
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import to_plain, without_secrets
 from gem_core.suggestions import did_you_mean
+from gem_eval.grouping import grouped
 
 if TYPE_CHECKING:
     from gem_eval.records import Run
@@ -48,10 +49,8 @@ class Grade:
             EpisodeFileError: It says nothing of the kind.
         """
         try:
-            value = None if record["value"] is None else float(record["value"])
-            told = {name: record.get(name) for name in ("error", "note")}
-            return cls(int(record["episode"]), int(record["repeat"]), value, dict(record.get("metrics") or {}), **told)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            return cls(**{**record, "value": None if record["value"] is None else float(record["value"])})
+        except (KeyError, TypeError, ValueError) as error:
             raise EpisodeFileError(f"it is no score ({error})") from error
 
 
@@ -108,11 +107,8 @@ class ScoreFile:
 
     def means(self) -> dict[int, float | None]:
         """Return for each episode the mean of its repeats; None where there is none that can tell."""
-        values: dict[int, list[float]] = {}
-        for each in self.graded.values():
-            own = values.setdefault(each.episode, [])
-            if each.value is not None:
-                own.append(each.value)
+        by_episode = grouped(self.graded.values(), lambda grade: grade.episode)
+        values = {number: [each.value for each in own if each.value is not None] for number, own in by_episode.items()}
         return {number: math.fsum(own) / len(own) if own else None for number, own in values.items()}
 
     def begin(self, grader: Mapping[str, Any], *, overwrite: bool = False) -> None:

@@ -14,6 +14,7 @@ from gem_core import Episode
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.rollouts import close_agent, prepare_agent
+from gem_eval.grouping import grouped
 from gem_eval.opening import opened, refuse_seats, require_episodes
 from gem_eval.records import Row, Run
 from gem_eval.scoring.file import Grade, ScoreFile
@@ -176,18 +177,14 @@ def score(
 def rescored(run: Run, name: str, file: ScoreFile) -> Rescored:
     """Return the scores that a file holds."""
     rows = [row for row in run.rows if row.error is None]
-    of_row: dict[int, list[Grade]] = {}
-    for each in file.graded.values():
-        of_row.setdefault(each.episode, []).append(each)
+    of_row = grouped(file.graded.values(), lambda grade: grade.episode)
     verdicts = {row.number: _verdict(of_row.get(row.number, [])) for row in rows}
     changed = [
         Changed(row, row.success, new)
         for row in rows
         if (new := verdicts[row.number]) is not None and row.success is not None and row.success != new
     ]
-    by_task: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        by_task.setdefault((row.id, row.model), []).append(row)
+    by_task = grouped(rows, lambda row: (row.id, row.model))
     numbers = {each.row.number for each in changed}
     ratings = [[each.value for each in own if each.value is not None] for own in of_row.values()]
     return Rescored(
