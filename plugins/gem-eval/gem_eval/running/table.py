@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -15,121 +15,98 @@ if TYPE_CHECKING:
     from gem_eval.scores import Score
     from gem_eval.statistics import Estimate
 
+_COUNTS = (("unscored", "unscored"), ("unreadable", "unreadable"), ("cut off", "truncated"))
+"""Headers of counts, and their names in a score: the most dispensable first."""
+
 
 @dataclass
 class TableRow:
     """A row of the table: a model at a task, or at all of them.
 
     Args:
-        id: Name of the task.
-        model: Name of the model.
-        success: Its score by success; None where the task never tells.
-        returns: Its score by return.
-        tokens_in: Tokens read; None where no server tells.
-        tokens_out: Tokens written.
-        cost: US dollars; None without a price.
+        scores: Its scores by metric; success is missing where the task never tells.
+        episodes: Its episodes, those with an error too: they took tokens as well.
     """
 
-    id: str
-    model: str
-    success: Score | None = None
-    returns: Score | None = None
-    tokens_in: int | None = None
-    tokens_out: int | None = None
-    cost: float | None = None
+    scores: dict[str, Score] = field(default_factory=dict)
+    episodes: list[Row] = field(default_factory=list)
+
+    @property
+    def success(self) -> Score | None:
+        """The score by success."""
+        return self.scores.get("success")
 
     @property
     def main(self) -> Score:
         """The score that the counts are read from."""
-        score = self.success or self.returns
-        if score is None:
-            raise LookupError(f"{self.id} has no score")
-        return score
+        return self.success or self.scores["return"]
 
-    def count(self, row: Row) -> None:
-        """Add what an episode took; errors took it, too."""
-        if row.tokens_in is not None:
-            self.tokens_in = (self.tokens_in or 0) + row.tokens_in
-        if row.tokens_out is not None:
-            self.tokens_out = (self.tokens_out or 0) + row.tokens_out
-        if row.cost is not None:
-            self.cost = (self.cost or 0.0) + row.cost
-
-
-def table_rows(scores: Iterable[Score], episodes: Iterable[Row]) -> list[TableRow]:
-    """Return the rows of the table."""
-    found: dict[tuple[str, str], TableRow] = {}
-    for score in scores:
-        row = found.setdefault((score.id, score.model), TableRow(score.id, score.model))
-        if score.metric == "success":
-            row.success = score
-        else:
-            row.returns = score
-    for episode in episodes:
-        for key in ((episode.id, episode.model), ("all", episode.model)):
-            if key in found:
-                found[key].count(episode)
-    return list(found.values())
+    def total(self, name: str) -> float | None:
+        """Return what the episodes took; None where it is not known of any."""
+        known = [value for row in self.episodes if (value := getattr(row, name)) is not None]
+        return sum(known) if known else None
 
 
 def print_scores(scores: Sequence[Score], episodes: Iterable[Row]) -> None:
     """Write the table of scores to standard output; columns that say nothing are left out."""
-    rows = table_rows(scores, episodes)
-    print_table(_columns(rows), rows)
-    for note in filter(None, (figures.pass_note(score) for score in scores)):
+    found: dict[tuple[str, str], TableRow] = {}
+    for score in scores:
+        found.setdefault((score.id, score.model), TableRow()).scores[score.metric] = score
+    for episode in episodes:
+        for task in (episode.id, "all"):
+            if (task, episode.model) in found:
+                found[task, episode.model].episodes.append(episode)
+    print_table(_columns(list(found.values())), list(found.values()))
+    for note in filter(None, map(figures.pass_note, scores)):
         echo_line(note)
 
 
 def _columns(rows: Sequence[TableRow]) -> list[Column]:
-    epochs = sorted({int(k) for row in rows if row.success for k in row.success.pass_at if int(k) > 1})
+    by_success = [row.success for row in rows if row.success]
+    epochs = max((int(k) for score in by_success for k in score.pass_at), default=1)
+    k, repeated = str(epochs), epochs > 1
+    tokens = any(row.total(name) is not None for row in rows for name in ("tokens_in", "tokens_out"))
     columns = [
-        Column("task", lambda row: str(row.id), name=True),
-        Column("model", lambda row: str(row.model), name=True),
-        Column("episodes", lambda row: str(row.main.episodes), 9),
+        (True, Column("task", lambda row: str(row.main.id), name=True)),
+        (True, Column("model", lambda row: str(row.main.model), name=True)),
+        (True, Column("episodes", lambda row: str(row.main.episodes), 9)),
+        (repeated, Column("rows", lambda row: str(row.main.rows), 8)),
+        (by_success, Column("success [95 %]", lambda row: figures.with_bounds(row.success, "success"))),
+        (repeated, Column(f"pass@{k}", lambda row: _mean_of(row.success and row.success.pass_at.get(k)))),
+        (repeated, Column(f"pass^{k}", lambda row: _mean_of(row.success and row.success.pass_hat.get(k)))),
+        (
+            any(score.without_truncated for score in by_success),
+            Column("without cut-off", lambda row: _mean_of(row.success and row.success.without_truncated), 6),
+        ),
+        (
+            any(row.main.errors for row in rows),
+            Column(
+                "if errors failed", lambda row: figures.score(row.success and row.success.with_errors, "success"), 5
+            ),
+        ),
+        (True, Column("return [95 %]", lambda row: figures.with_bounds(row.scores.get("return"), "return"), 7)),
+        *(
+            (any(getattr(row.main, name) for row in rows), Column(header, partial(_count, name), rank))
+            for rank, (header, name) in enumerate(_COUNTS, start=2)
+        ),
+        (True, Column("errors", lambda row: str(row.main.errors), alarm=True)),
+        (tokens, Column("tokens in", partial(_total, "tokens_in"), 0)),
+        (tokens, Column("tokens out", partial(_total, "tokens_out"), 1)),
+        (
+            any(row.total("cost") is not None for row in rows),
+            Column("cost $", lambda row: shown(row.total("cost"), ",.4f")),
+        ),
     ]
-    if epochs:
-        columns.append(Column("rows", lambda row: str(row.main.rows), 8))
-    if any(row.success for row in rows):
-        columns.append(Column("success [95 %]", lambda row: figures.with_bounds(row.success, "success")))
-    for k in epochs[-1:]:
-        columns += [Column(f"pass@{k}", partial(_pass_at, k)), Column(f"pass^{k}", partial(_pass_hat, k))]
-    if any(row.success and row.success.without_truncated for row in rows):
-        columns.append(
-            Column("without cut-off", lambda row: _mean_of(row.success and row.success.without_truncated), 6)
-        )
-    if any(row.main.errors for row in rows):
-        columns.append(
-            Column("if errors failed", lambda row: figures.score(row.success and row.success.with_errors, "success"), 5)
-        )
-    columns.append(Column("return [95 %]", lambda row: figures.with_bounds(row.returns, "return"), 7))
-    for rank, (header, name) in enumerate(_COUNTS, start=2):
-        if any(getattr(row.main, name) for row in rows):
-            columns.append(Column(header, partial(_count, name), rank))
-    columns.append(Column("errors", lambda row: str(row.main.errors), alarm=True))
-    if any(row.tokens_in is not None or row.tokens_out is not None for row in rows):
-        columns += [
-            Column("tokens in", lambda row: shown_count(row.tokens_in), 0),
-            Column("tokens out", lambda row: shown_count(row.tokens_out), 1),
-        ]
-    if any(row.cost is not None for row in rows):
-        columns.append(Column("cost $", lambda row: shown(row.cost, ",.4f")))
-    return columns
-
-
-_COUNTS = (("unscored", "unscored"), ("unreadable", "unreadable"), ("cut off", "truncated"))
-"""Headers of counts, and their names in a score: the most dispensable first."""
-
-
-def _pass_at(k: int, row: TableRow) -> str:
-    return _mean_of(row.success.pass_at.get(str(k)) if row.success else None)
-
-
-def _pass_hat(k: int, row: TableRow) -> str:
-    return _mean_of(row.success.pass_hat.get(str(k)) if row.success else None)
+    return [column for is_told, column in columns if is_told]
 
 
 def _count(name: str, row: TableRow) -> str:
     return str(getattr(row.main, name))
+
+
+def _total(name: str, row: TableRow) -> str:
+    total = row.total(name)
+    return shown_count(None if total is None else int(total))
 
 
 def _mean_of(estimate: Estimate | None) -> str:
