@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 
 def nearest(wrong: str, names: Iterable[str], limit: int = 3) -> list[str]:
@@ -17,14 +17,10 @@ def nearest(wrong: str, names: Iterable[str], limit: int = 3) -> list[str]:
 
 def did_you_mean(wrong: str, names: Iterable[str]) -> str:
     """Return " Did you mean 'a' or 'b'?" with a leading space, or nothing when no name is near."""
-    return did_you_mean_one_of(nearest(wrong, names))
-
-
-def did_you_mean_one_of(names: Sequence[str]) -> str:
-    """Return the same question for names that are known to be near."""
-    if not names:
+    found = [repr(name) for name in nearest(wrong, names)]
+    if not found:
         return ""
-    *others, last = map(repr, names)
+    *others, last = found
     return f" Did you mean {', '.join(others)} or {last}?" if others else f" Did you mean {last}?"
 
 

@@ -13,8 +13,6 @@ from xml.etree import ElementTree
 
 import pytest
 
-from gem_core.docs import gallery_page
-from gem_core.registry import registry
 from gem_core.registry.known_distributions import KNOWN_DISTRIBUTIONS
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -44,32 +42,6 @@ def rendered(gallery: ModuleType) -> dict[str, str]:
 def drawing() -> ModuleType:
     """Return the module that draws."""
     return import_module("gallery_drawing")
-
-
-@pytest.mark.parametrize(
-    ("env_id", "page"),
-    [
-        ("game:GuessTheNumber-v0-hard", "gallery/game/guess-the-number/"),
-        ("game:TowerofHanoi-v0-easy", "gallery/game/towerof-hanoi/"),
-        ("math:GSM8K", "gallery/math/gsm8k/"),
-        ("eval:MATH500", "gallery/eval/math500/"),
-        ("pz:connect_four-v3", "gallery/pz/connect-four/"),
-        ("tau:Sample-solo", "gallery/tau/sample-solo/"),
-        ("rg:chain_sum", "gallery/rg/"),
-        ("ta:Chess-v0-long-multi", "gallery/ta/"),
-    ],
-)
-def test_versions_and_variants_share_a_page(env_id: str, page: str) -> None:
-    """Words of a name are joined by hyphens; generated environments have one page for all."""
-    assert gallery_page(env_id) == page
-
-
-def test_every_environment_has_a_page() -> None:
-    """With its id on it."""
-    for record in registry().envs():
-        if registry().provider(record.id) is not None:
-            page = DOCS / f"{gallery_page(record.id).rstrip('/')}.md"
-            assert f"`{record.id}`" in page.read_text(encoding="utf-8"), record.id
 
 
 def test_pages_are_what_the_script_writes(rendered: dict[str, str]) -> None:

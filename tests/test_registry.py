@@ -39,7 +39,7 @@ def words(own_registry: registry.Registry) -> None:
         ("word:Gues-v0", "Did you mean 'word:Guess-v0' or 'word:Guess-v0-hard'? Run 'gem list word'"),
         ("WORD:guess-v0-HARD", "Did you mean 'word:Guess-v0-hard' or 'word:Guess-v0'? Run 'gem list'"),
         ("word:zzzzzzzzzzzz", "Run 'gem list word'"),
-        ("word:", "Did you mean 'word:Guess-v0' or 'word:Guess-v0-hard'? Run 'gem list word'"),
+        ("word:", "Run 'gem list word'"),
         ("", "Run 'gem list'"),
         ("math:GSM8K", "It comes with a plugin: try 'pip install gem-math'. Run 'gem list'"),
         ("openai:some-model", "It comes with a plugin: try 'pip install gem-openai'. Run 'gem list'"),

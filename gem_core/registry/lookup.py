@@ -29,7 +29,7 @@ from gem_core.registry.specs import (
     VectorBackendSpec,
     WrapperSpec,
 )
-from gem_core.suggestions import did_you_mean, did_you_mean_one_of
+from gem_core.suggestions import did_you_mean
 
 N = TypeVar("N", bound=NamedSpec)
 
@@ -295,8 +295,6 @@ class Registry:
         if not hint and (is_known or not failed):
             own = [each for each in self._envs if each.startswith(f"{namespace}:")]
             hint = did_you_mean(env_id, own) or did_you_mean(env_id, [*self._envs, *([] if colon else others)])
-        if not hint and is_known:
-            hint = did_you_mean_one_of([each for each in sorted(self._envs) if each.startswith(env_id)][:3])
         if not hint and colon and not is_known and not failed:
             known = f" Namespaces: {', '.join(namespaces) or 'none'}."
             hint = did_you_mean(namespace, namespaces) or (
