@@ -42,11 +42,14 @@ gem.register("odd:One-v0", OddEnv)
 @pytest.mark.parametrize("action", ODD)
 def test_a_result_that_is_none_is_refused_by_make_as_by_a_vector_environment(action: str) -> None:
     """With what was wrong of it."""
-    env, vector = gem.make("odd:One-v0"), gem.make_vec("odd:One-v0", 1)
+    env: Any = gem.make("odd:One-v0")
+    vector = gem.make_vec("odd:One-v0", 1)
     env.reset(seed=1)
     vector.reset(seed=1)
     with pytest.raises((TypeError, ValueError), match=f"^OddEnv: .*{ODD[action][1]}$") as caught:
         env.step(action)
+    with pytest.raises(caught.type):
+        run_sync(env.step_async(action))
     told = vector.step([action]).infos[0]["final_info"]["error"]["message"]
     assert told == f"step raised {caught.type.__name__}: {caught.value}"
 

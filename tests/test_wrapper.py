@@ -323,8 +323,8 @@ def test_whole_stack_is_made_again(put: Any) -> None:
 
 
 @pytest.mark.parametrize("run", [None, *LOOPS])
-def test_guard_refuses_steps_after_a_failed_reset(run: Any) -> None:
-    """When a reset fails, the episode before it is over, in plain and asynchronous code."""
+def test_guard_refuses_steps_outside_an_episode(run: Any) -> None:
+    """After its end, and where a reset failed, in plain and asynchronous code."""
 
     class Failing(EchoEnv):
         def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
@@ -332,10 +332,15 @@ def test_guard_refuses_steps_after_a_failed_reset(run: Any) -> None:
                 raise ValueError("unlucky")
             return super().reset(seed, options)
 
-    env = Guard(Failing())
+    env = Guard(Failing(turns=2))
     env.reset(seed=1)
     with pytest.raises(ValueError, match="unlucky"):
         run(env.reset_async(13)) if run else env.reset(13)
+    with pytest.raises(ResetNeededError):
+        run(env.step_async("x")) if run else env.step("x")
+    env.reset(seed=1)
+    for _ in range(2):
+        run(env.step_async("x")) if run else env.step("x")
     with pytest.raises(ResetNeededError):
         run(env.step_async("x")) if run else env.step("x")
 
