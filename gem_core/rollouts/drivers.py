@@ -20,10 +20,10 @@ from gem_core.progress import Progress
 from gem_core.records.episode import Episode
 from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
-from gem_core.rollouts.agent import Agent, as_agent, close_agent, is_asynchronous, load_agent, prepare_agent
-from gem_core.rollouts.loop import Players, Run
+from gem_core.rollouts.agent import Agent, close_agent, is_asynchronous, prepare_agent
+from gem_core.rollouts.loop import Run
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
-from gem_core.rollouts.seating import Seated, Seating, as_seating, seated
+from gem_core.rollouts.seating import AgentOfItem, OneAgent, Seating, as_seating
 from gem_core.vector.backends import make_vector
 from gem_core.vector.setup import Backend, IdOrIds
 from gem_core.vector.vector_env import VectorEnv
@@ -118,10 +118,8 @@ def rollout(
 
     An error that stops a run is raised after the episodes that finished before it.
     """
-    players, loaded = _players(agent, agents)
-    return _episodes(
-        _Options(env, players, loaded, plan, episodes, seed, num_envs, backend, max_requests, resume, progress)
-    )
+    seating = _seating(agent, agents)
+    return _episodes(_Options(env, seating, plan, episodes, seed, num_envs, backend, max_requests, resume, progress))
 
 
 @overload
@@ -144,7 +142,7 @@ def arollout(
         agents: Instead of ``agent``, if several agents act.
         **options: The other arguments of ``rollout``.
     """
-    return _episodes_async(_Options(env, *_players(agent, agents), **options))
+    return _episodes_async(_Options(env, _seating(agent, agents), **options))
 
 
 def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
@@ -167,9 +165,7 @@ class _Options:
     """The arguments of one call of ``rollout``."""
 
     env: Environments
-    players: Players
-    loaded: list[Agent]
-    """Agents that act alone and were given by name, which are closed at the end."""
+    seating: Seating
     plan: Iterable[PlanItem] | None = None
     episodes: int | None = None
     seed: int | None = None
@@ -190,16 +186,12 @@ class _Options:
     @property
     def agents(self) -> list[Agent]:
         """Every agent that may act, as far as known, each once."""
-        if isinstance(self.players, Seating):
-            agents = self.players.agents()
-        else:
-            agents = [self.players.agent] if isinstance(self.players, Seated) else self.players.values()
-        return list({id(agent): agent for agent in agents}.values())
+        return list({id(agent): agent for agent in self.seating.agents()}.values())
 
     def close_loaded(self) -> None:
         """Close the agents that were given by name, also the ones that a league got during the run."""
         with ExitStack() as closing:
-            for agent in (*self.loaded, *(self.players.loaded if isinstance(self.players, Seating) else ())):
+            for agent in self.seating.loaded:
                 closing.callback(close_agent, agent)
 
     def vector(self, *, plain: bool) -> VectorEnv:
@@ -231,7 +223,8 @@ class _Options:
         else:
             plan = default_plan(vector, self.episodes) if self.plan is None else self.plan
             queue = EpisodeQueue(plan, vector.seed if seed is None else seed)
-        finished.leave_out_of(queue)
+        if len(finished):
+            finished.leave_out_of(queue)
         return queue
 
     def counting(self, at_end: ExitStack | AsyncExitStack, queue: EpisodeQueue, done: int) -> Callable[[], None]:
@@ -259,7 +252,7 @@ def _episodes(options: _Options) -> Iterator[Record]:
         queue = options.queue(vector, finished)
         count = options.counting(at_end, queue, len(finished))
         is_plain = not any(map(is_asynchronous, options.agents))
-        run = Run(vector, queue, options.players, options.max_requests, door.here, is_plain)
+        run = Run(vector, queue, options.seating, options.max_requests, door.here, is_plain)
         at_end.callback(lambda: door.run(run.stop()))
         while (episode := door.run(run.next_record())) is not None:
             count()
@@ -286,7 +279,7 @@ async def _episodes_async(options: _Options) -> AsyncGenerator[Record]:
                 await prepared
         queue = await in_thread(options.queue, vector, finished)
         count = options.counting(at_end, queue, len(finished))
-        run = Run(vector, queue, options.players, options.max_requests, _soon, is_plain=False)
+        run = Run(vector, queue, options.seating, options.max_requests, _soon, is_plain=False)
         at_end.push_async_callback(run.stop)
         while (episode := await run.next_record()) is not None:
             count()
@@ -299,19 +292,13 @@ async def _soon(function: Callable[..., T], *args: Any) -> T:
     return function(*args)
 
 
-def _players(agent: Any, agents: Any) -> tuple[Players, list[Agent]]:
-    """Return the players, and the agents among them that were given by name."""
+def _seating(agent: Any, agents: Any) -> Seating:
+    """Return the rule that says which agents play an episode."""
     if (agent is None) == (agents is None):
         raise ArgumentError("give either agent, for one agent, or agents, for several")
-    if isinstance(agent, str):
-        one = seated(agent)
-        return one, [one.agent]
-    if isinstance(agent, Mapping):
-        by_item = {name: load_agent(each) if isinstance(each, str) else as_agent(each) for name, each in agent.items()}
-        return by_item, [by_item[name] for name, each in agent.items() if isinstance(each, str)]
-    if agents is None:
-        return seated(agent), []
-    return as_seating(agents), []
+    if agents is not None:
+        return as_seating(agents)
+    return AgentOfItem(agent) if isinstance(agent, Mapping) else OneAgent(agent)
 
 
 def _asked_at_once(agents: Iterable[Agent], max_requests: int | None) -> int | None:

@@ -27,9 +27,8 @@ from gem_core.errors import (
 from gem_core.failures import author_frames, failure_info
 from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
-from gem_core.rollouts.agent import Agent
 from gem_core.rollouts.seat import RunningSeat, SharedEpisode, common_fields, new_episode
-from gem_core.rollouts.seating import Seated, Seating
+from gem_core.rollouts.seating import ALONE, Seating
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
 from gem_core.vector.failures import Failure
 from gem_core.vector.joint import lost_step
@@ -37,9 +36,6 @@ from gem_core.vector.slot import ALL_IN_PLACE, Slot
 from gem_core.vector.vector_env import VectorEnv
 
 T = TypeVar("T")
-
-Players = Seated | Mapping[str, Agent] | Seating
-"""One agent; several by name, of which each item of the plan names one; or a rule for the seats."""
 
 _CANCELLING_S = 5.0
 """Seconds that agents and environments may take to end when a run is left."""
@@ -158,7 +154,7 @@ class Run:
     Args:
         vector: The vector environment.
         queue: The starts of episodes, in the order of the plan.
-        players: The agents.
+        seating: Says which agents play an episode.
         max_requests: Largest number of agents' calls at once; None for no limit.
         here: Calls plain code in the thread of the caller.
         is_plain: Whether the caller is plain code, and no agent is a coroutine function.
@@ -168,12 +164,12 @@ class Run:
         self,
         vector: VectorEnv,
         queue: EpisodeQueue,
-        players: Players,
+        seating: Seating,
         max_requests: int | None,
         here: Callable[..., Awaitable[Any]],
         is_plain: bool,
     ) -> None:
-        self.vector, self.queue, self.players, self.here, self.is_plain = vector, queue, players, here, is_plain
+        self.vector, self.queue, self.seating, self.here, self.is_plain = vector, queue, seating, here, is_plain
         self.requests: Any = nullcontext() if max_requests is None else asyncio.Semaphore(max_requests)
         self.room = asyncio.Semaphore(vector.num_envs)
         """Room for finished episodes: a slot waits for it, until the caller takes one."""
@@ -230,16 +226,6 @@ class Run:
             return cast("T", await self.here(lambda: run_without_loop(work(*args))))
         return await work(*args)
 
-    def player_of(self, start: EpisodeStart) -> Seated:
-        """Return the only agent of an episode."""
-        if isinstance(self.players, Seated):
-            return self.players
-        agents, name = cast("Mapping[str, Agent]", self.players), start.item.agent
-        if name is None or name not in agents:
-            names = ", ".join(map(repr, agents))
-            raise ArgumentError(f"an item of the plan has agent={name!r}, and the agents given are {names}")
-        return Seated(name, agents[name])
-
 
 async def _at_once(function: Callable[..., T], *args: Any) -> T:
     return function(*args)
@@ -255,30 +241,30 @@ def begin_episode(
     """
     described = slot.runner.describe()
     described = {**described, "id": described["id"] or slot.env_id or "unknown"}
-    if isinstance(run.players, Seating):
-        if "possible_agents" not in info:
-            raise ArgumentError(f"{described['id']} is for one agent: give agent, not agents")
-        seated = run.players.seat(info["possible_agents"], start)
-        return SharedEpisode(described, start, observation, info, seated, slot.sample_random_action)
-    if "possible_agents" in info:
-        seats = ", ".join(map(repr, info["possible_agents"]))
+    seats, is_alone = info.get("possible_agents"), run.seating.is_alone
+    if seats is None and not is_alone:
+        raise ArgumentError(f"{described['id']} is for one agent: give agent, not agents")
+    if seats is not None and is_alone:
+        names = ", ".join(map(repr, seats))
         raise ArgumentError(
-            f"{described['id']} has several seats, {seats}: give agents={{seat: agent}}, a list of agents that "
-            f"change seats, or agents=AGENT for self-play; for 'gem run', register it with seats=({seats})"
+            f"{described['id']} has several seats, {names}: give agents={{seat: agent}}, a list of agents that "
+            f"change seats, or agents=AGENT for self-play; for 'gem run', register it with seats=({names})"
         )
-    episode = new_episode(described, start, observation, info)
-    return RunningSeat(episode, run.player_of(start), slot.sample_random_action)
+    seated = run.seating.seat(seats or [ALONE], start)
+    if seats is not None:
+        return SharedEpisode(described, start, observation, info, seated, slot.sample_random_action)
+    return RunningSeat(new_episode(described, start, observation, info), seated[ALONE], slot.sample_random_action)
 
 
 def failed_record(run: Run, slot: Slot, start: EpisodeStart, error: dict[str, Any]) -> Record:
     """Return the record of an episode that did not begin."""
     env_id, kwargs = slot.target(start)
     described = {"id": env_id or "unknown", "kwargs": dict(kwargs)}
-    if isinstance(run.players, Seating):
+    if not run.seating.is_alone:
         return JointEpisode(**common_fields(described, start), failure=error)
     info = {"seed": start.seed, "error": error}
     if start.item.group is not None:
         info["group"] = start.item.group
     episode = new_episode(described, start, TERMINAL_STATE, info)
-    episode.agent = run.player_of(start).name
+    episode.agent = run.seating.seat([ALONE], start)[ALONE].name
     return episode

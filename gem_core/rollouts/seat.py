@@ -16,11 +16,8 @@ from gem_core.records.joint import JointEpisode
 from gem_core.records.plans import EpisodeStart
 from gem_core.registry.lookup import registry
 from gem_core.rollouts.agent import AgentTraits, Context, is_asynchronous
-from gem_core.rollouts.seating import Seated
+from gem_core.rollouts.seating import ALONE, Seated
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
-
-_ALONE = "agent"
-"""Name of the only agent in ``acting``."""
 
 
 class RunningSeat:
@@ -62,7 +59,7 @@ class RunningSeat:
     @property
     def acting(self) -> dict[str, RunningSeat]:
         """Who acts now, for an agent alone."""
-        return {_ALONE: self}
+        return {ALONE: self}
 
     async def read_answer(self, answer: Any) -> Response:
         """Return what the agent answered, a coroutine's result included, as the response of this turn.
@@ -85,7 +82,7 @@ class RunningSeat:
 
     def take(self, responses: Mapping[str, Response]) -> Response:
         """Return the action of an agent alone."""
-        return responses[_ALONE]
+        return responses[ALONE]
 
     def add(self, observation: Observation, reward: float, terminated: bool, truncated: bool, info: Info) -> None:
         """Add the turn in which ``response`` was sent."""

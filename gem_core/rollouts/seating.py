@@ -1,10 +1,10 @@
-"""Which agent sits at which seat of an episode: fixed, self-play, rotating over the seats, or a league."""
+"""Which agent plays an episode, alone or at which seat: fixed, self-play, rotating over the seats, or a league."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,15 @@ class Seated(NamedTuple):
     agent: Agent
 
 
+ALONE = "agent"
+"""The seat of an agent that is alone in its environment."""
+
+
 class Seating(ABC):
     """Decides which agents act in each episode; a subclass is taken as the ``agents`` of ``rollout``."""
+
+    is_alone: ClassVar[bool] = False
+    """Whether it is for environments of one agent."""
 
     loaded: tuple[Agent, ...] = ()
     """Agents that were given by name, which ``rollout`` closes at its end."""
@@ -54,6 +61,49 @@ class Seating(ABC):
         Raises:
             ArgumentError: The agents do not fit the seats.
         """
+
+
+class OneAgent(Seating):
+    """The same agent in every episode of environments of one agent."""
+
+    is_alone = True
+
+    def __init__(self, agent: Any) -> None:
+        self._agent = self._seated(agent)
+
+    def agents(self) -> Iterable[Agent]:
+        """Return the agent."""
+        return [self._agent.agent]
+
+    def seat(self, seats: Sequence[str], start: EpisodeStart) -> Mapping[str, Seated]:
+        """Return the agent."""
+        return {ALONE: self._agent}
+
+
+class AgentOfItem(Seating):
+    """The agent that each item of the plan names, in environments of one agent.
+
+    Args:
+        agents: ``{name: agent}``.
+    """
+
+    is_alone = True
+
+    def __init__(self, agents: Mapping[str, Any]) -> None:
+        self._agents = {name: Seated(name, self._seated(agent).agent) for name, agent in agents.items()}
+
+    def agents(self) -> Iterable[Agent]:
+        """Return the agents."""
+        return [each.agent for each in self._agents.values()]
+
+    def seat(self, seats: Sequence[str], start: EpisodeStart) -> Mapping[str, Seated]:
+        """Return the agent of the item."""
+        name = start.item.agent
+        if name is None or name not in self._agents:
+            raise ArgumentError(
+                f"an item of the plan has agent={name!r}, and the agents given are {_named(self._agents)}"
+            )
+        return {ALONE: self._agents[name]}
 
 
 class NamedSeats(Seating):
