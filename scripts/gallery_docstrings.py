@@ -97,12 +97,14 @@ def _find(module: str, name: str) -> tuple[ast.ClassDef | ast.FunctionDef, str] 
     found = importlib.util.find_spec(module)
     if found is None or found.origin is None:
         return None
-    for node in _parsed(found.origin).body:
+    stub = Path(found.origin).with_suffix(".pyi")  # where a package names what it resolves on first use
+    parsed = _parsed(str(stub) if stub.exists() else found.origin)
+    for node in parsed.body:
         if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name:
             return node, module
-    for each in ast.walk(_parsed(found.origin)):
+    for each in ast.walk(parsed):
         if isinstance(each, ast.ImportFrom) and each.module and any(alias.name == name for alias in each.names):
-            return _find(each.module, name)
+            return _find(f"{module}.{each.module}" if each.level else each.module, name)
     return None
 
 
