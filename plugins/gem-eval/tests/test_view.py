@@ -233,17 +233,6 @@ def test_a_run_is_followed_as_it_grows_and_begins_anew(tmp_path: Path) -> None:
     assert viewed.rows == []
 
 
-def test_scores_of_a_run_that_has_ended_are_those_it_wrote(tmp_path: Path) -> None:
-    """To compute those of a large run takes seconds; what is no score is passed over."""
-    path = write_run(tmp_path / "run", [maze()])
-    with RunWriter(path) as writer:
-        writer.write_metrics({"scores": [{"id": "a\x1b", "model": "m", "metric": "success", "mean": 0.25, "low": []}]})
-    (score,) = library_of(path).runs[0].summary["scores"]
-    assert (score["id"], score["mean"], score["low"]) == ("a\\x1b", 0.25, None)
-    (path / "metrics.json").write_text('{"scores": [1]}')
-    assert library_of(path).runs[0].summary["scores"][0]["id"] == "maze:Room-v0"
-
-
 def test_runs_are_found_and_told_apart(tmp_path: Path, runs: Path) -> None:
     """By their folders if their names are the same; a damaged episode is refused, the others are not."""
     one, other = (write_run(tmp_path / folder / "run", [maze()]) for folder in ("a", "b"))

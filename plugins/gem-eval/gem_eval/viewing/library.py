@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import threading
 import time
@@ -12,7 +11,7 @@ from typing import Any
 
 from gem_core.errors import ArgumentError, GemError
 from gem_eval.records import Row, Run
-from gem_eval.records.run import INDEX_FILE, METRICS_FILE, RUN_FILE
+from gem_eval.records.run import RUN_FILE
 from gem_eval.scores import compute_scores
 from gem_eval.show.text import escaped
 
@@ -87,26 +86,10 @@ class ViewedRun:
             scores: list[dict[str, Any]] = self.summary["scores"]
             return scores
         self._scored_version = self.version
-        written = self._written_scores()
-        found = (
-            [score.to_dict() for score in compute_scores(each for row in self.rows for each in row.apart())]
-            if written is None
-            else written
-        )
+        found = compute_scores(each for row in self.rows for each in row.apart())
         taken = time.monotonic() - started
         self._score_due = started + taken / _SCORING_SHARE
-        return [{name: _shown(score.get(name)) for name in _SCORE} for score in found]
-
-    def _written_scores(self) -> list[dict[str, Any]] | None:
-        """Return the scores that were written when the run ended; None where it has grown since."""
-        metrics = self.path / METRICS_FILE
-        try:
-            if metrics.stat().st_mtime_ns < (self.path / INDEX_FILE).stat().st_mtime_ns:
-                return None
-            scores = json.loads(metrics.read_bytes())["scores"]
-        except (OSError, ValueError, RecursionError, LookupError, TypeError):
-            return None
-        return scores if isinstance(scores, list) and all(isinstance(score, dict) for score in scores) else None
+        return [{name: _shown(getattr(score, name)) for name in _SCORE} for score in found]
 
 
 _SCORE = (
