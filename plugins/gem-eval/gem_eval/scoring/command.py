@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
@@ -61,7 +60,7 @@ Exit code: 0 if the grader failed for no episode, 1 if it did, 2 for a wrong arg
 @click.option(
     "--rubric",
     metavar="FILE",
-    type=click.Path(exists=True, dir_okay=False),
+    type=click.File("r", encoding="utf-8"),
     help="File that says what makes an episode pass.",
 )
 @arguments_option
@@ -77,7 +76,7 @@ def command(
     grader: str,
     repeat: int,
     name: str | None,
-    rubric: str | None,
+    rubric: TextIO | None,
     arguments: tuple[str, ...],
     overwrite: bool,
     every: bool,
@@ -98,7 +97,7 @@ def command(
             grader,
             repeat=repeat,
             name=name,
-            rubric=None if rubric is None else _text(rubric),
+            rubric=None if rubric is None else rubric.read(),
             kwargs=env_arguments(arguments),
             options=of_model,
             max_concurrency=limit,
@@ -110,13 +109,6 @@ def command(
     else:
         _report(found, every)
     ctx.exit(1 if found.errors else 0)
-
-
-def _text(path: str) -> str:
-    try:
-        return Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ArgumentError(f"--rubric: cannot read {path!r}: {error}") from error
 
 
 def _report(found: Rescored, every: bool) -> None:
@@ -142,28 +134,25 @@ def _report(found: Rescored, every: bool) -> None:
     if found.not_graded:
         echo_line(f"{counted(found.not_graded, 'episode')} ended in an error, and cannot be graded.")
     differing = [each for each in found.notes if (each.note or "").startswith("not as recorded")]
-    if differing:
-        echo_line(f"{counted(len(differing), 'replay')} went another way than recorded:")
-        _list([f"episode {each.episode}: {one_line(each.note or '', 200)}" for each in differing], every)
-    if found.errors:
-        echo_line(f"The grader failed {counted(len(found.errors), 'time')}; the same command tries again:")
-        _list([f"episode {each.episode}: {one_line(each.error or '', 200)}" for each in found.errors], every)
-    if found.changed:
-        verdicts = counted(len(found.changed), "verdict")
-        echo_line(f"{verdicts} changed:")
-        lines = [
-            f"episode {each.row.number}: {'passes now' if each.new else 'fails now'}  {one_line(each.row.row, 100)}"
-            for each in found.changed
-        ]
-        _list(lines, every)
+    verdicts = {each.row.number: f"{'passes' if each.new else 'fails'} now  {each.row.row}" for each in found.changed}
+    for title, told in (
+        (
+            f"{counted(len(differing), 'replay')} went another way than recorded:",
+            [(e.episode, e.note) for e in differing],
+        ),
+        (
+            f"The grader failed {counted(len(found.errors), 'time')}; the same command tries again:",
+            [(each.episode, each.error) for each in found.errors],
+        ),
+        (f"{counted(len(verdicts), 'verdict')} changed:", list(verdicts.items())),
+    ):
+        if told:
+            echo_line(title)
+        for number, words in told if every else told[:_MOST_LISTED]:
+            click.echo(f"  episode {number}: {one_line(words or '', 200)}")
+        if not every and len(told) > _MOST_LISTED:
+            click.echo(f"  … and {len(told) - _MOST_LISTED} more; --all lists them")
     echo_line(f"Written to {found.path}; compare runs by these scores with --scores {found.name}.")
-
-
-def _list(lines: list[str], every: bool) -> None:
-    for line in lines if every else lines[:_MOST_LISTED]:
-        click.echo(f"  {line}")
-    if not every and len(lines) > _MOST_LISTED:
-        click.echo(f"  … and {len(lines) - _MOST_LISTED} more; --all lists them")
 
 
 def _shown(estimate: Estimate | None) -> str:
