@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import click
 
@@ -27,18 +28,17 @@ def table_lines(found: Sequence[EnvAudit], threshold: float, width: int | None) 
         threshold: Share above which a problem counts.
         width: Characters in a line; None for any number.
     """
-    ranks = {"rows": 0, "chance": 1, "other": 2, "echo": 3}
-    headers = ["environment", "rows", *KINDS, "chance", "problems"]
-    cells = {id(each): dict(zip(headers, _cells(each, threshold), strict=True)) for each in found}
+    ranks = {"other": 2, "echo": 3}
     columns = [
+        Column("environment", lambda each: str(each.id), name=True),
+        Column("rows", lambda each: str(each.rows), 0),
+        *(Column(policy, partial(_rate, policy), ranks.get(policy)) for policy in KINDS),
+        Column("chance", lambda each: "-" if each.chance is None else f"{each.chance:.0%}", 1),
         Column(
-            name,
-            lambda each, name=name: cells[id(each)][name],  # type: ignore[misc]  # bound early
-            ranks.get(name),
-            name=name == "environment",
-            colour=(lambda each: "red" if each.fails(threshold) else "") if name == "problems" else None,
-        )
-        for name in headers
+            "problems",
+            lambda each: _problems(each, threshold),
+            colour=lambda each: "red" if each.fails(threshold) else "",
+        ),
     ]
     yield from lines_of_table(columns, found, width)
     yield from wrapped(_LEGEND, width)
@@ -49,13 +49,14 @@ def table_lines(found: Sequence[EnvAudit], threshold: float, width: int | None) 
         yield from _details(each, threshold)
 
 
-def _cells(found: EnvAudit, threshold: float) -> list[str]:
-    rates = [found.rates.get(name) for name in KINDS]
-    shown = ["-" if rate is None or not rate.episodes else f"{rate.solved}/{rate.episodes}" for rate in rates]
-    chance = "-" if found.chance is None else f"{found.chance:.0%}"
+def _rate(policy: str, found: EnvAudit) -> str:
+    rate = found.rates.get(policy)
+    return "-" if rate is None or not rate.episodes else f"{rate.solved}/{rate.episodes}"
+
+
+def _problems(found: EnvAudit, threshold: float) -> str:
     count = sum(each.fails and each.share > threshold for each in found.problems)
-    problems = "not audited" if found.failure else str(count) if count else "none"
-    return [found.id, str(found.rows), *shown, chance, problems]
+    return "not audited" if found.failure else str(count) if count else "none"
 
 
 def _details(found: EnvAudit, threshold: float) -> Iterator[str]:

@@ -86,15 +86,7 @@ class _RenamedTool(ChangedTool):
         return replace(call, arguments={self._new.get(name, name): value for name, value in call.arguments.items()})
 
     # Those of the tool itself may name its parameters.
-
-    def schema(self) -> dict[str, Any]:
-        return Tool.schema(self)
-
-    def instructions(self) -> str:
-        return Tool.instructions(self)
-
-    def hints(self) -> str:
-        return Tool.hints(self)
+    schema, instructions, hints = Tool.schema, Tool.instructions, Tool.hints
 
     def _renamed(self, where: tuple[int | str, ...]) -> tuple[int | str, ...]:
         return (self._new.get(str(where[0]), where[0]), *where[1:]) if where else where

@@ -182,11 +182,9 @@ class EvaluationSession:
             info = self._info()
             writer.write_info(info)
             before = self.run.rows
-            meter = RunMeter(
-                self.limits,
-                sum((row.tokens_in or 0) + (row.tokens_out or 0) for row in [*before, *self.run.superseded]),
-                sum(row.cost or 0.0 for row in [*before, *self.run.superseded]),
-            )
+            paid = [*before, *self.run.superseded]
+            tokens = sum((row.tokens_in or 0) + (row.tokens_out or 0) for row in paid)
+            meter = RunMeter(self.limits, tokens, sum(row.cost or 0.0 for row in paid))
             ended: dict[str, Any] = {"status": "stopped", "reason": "interrupted"}
             try:
                 yield from self._episodes(writer, meter, before, at_end)
@@ -348,26 +346,26 @@ class EvaluationSession:
 
     def _find_folder(self, out: str | Path | None, new: bool) -> tuple[Path, bool]:
         """Return the folder of the run, and whether it holds the beginning of it."""
-        if out is not None:
-            path = Path(out)
-            found = _read_info(path)
-            if found is None:
-                if path.exists() and (not path.is_dir() or any(path.iterdir())):
-                    raise ArgumentError(f"{path} is there already and is no run; choose another folder for --out")
-                return path, False
-            if new:
-                raise ArgumentError(f"{path} holds a run; --new begins another, so choose another folder for --out")
-            differs = asked_differently(asked_of(found), asked_of(self._settings))
-            if differs:
-                raise ArgumentError(f"{path} holds another run: {differs}; choose another folder for --out")
-            return path, True
-        for path in [] if new else sorted(Path("runs").glob("*/run.json"), key=_changed, reverse=True):
-            found = _read_info(path.parent)
-            if found is not None and not asked_differently(asked_of(found), asked_of(self._settings)):
-                if found.get("status") == "finished" and not self._retry:
-                    break  # the same command after a finished run asks for another one
-                return path.parent, True
-        return new_run_folder(self.suite.name), False
+        asked = asked_of(self._settings)
+        if out is None:
+            for path in [] if new else sorted(Path("runs").glob("*/run.json"), key=_changed, reverse=True):
+                found = _read_info(path.parent)
+                if found is not None and not asked_differently(asked_of(found), asked):
+                    if found.get("status") == "finished" and not self._retry:
+                        break  # the same command after a finished run asks for another one
+                    return path.parent, True
+            return new_run_folder(self.suite.name), False
+        path, elsewhere = Path(out), "choose another folder for --out"
+        found = _read_info(path)
+        if found is None:
+            if path.exists() and (not path.is_dir() or any(path.iterdir())):
+                raise ArgumentError(f"{path} is there already and is no run; {elsewhere}")
+            return path, False
+        if new:
+            raise ArgumentError(f"{path} holds a run; --new begins another, so {elsewhere}")
+        if differs := asked_differently(asked_of(found), asked):
+            raise ArgumentError(f"{path} holds another run: {differs}; {elsewhere}")
+        return path, True
 
     def _changes(self) -> list[str]:
         """Return what of the code was changed since: sources, and versions of GEM's distributions."""

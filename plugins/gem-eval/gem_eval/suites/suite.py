@@ -106,11 +106,7 @@ class Model(_Form):
         return self.name or (f"{self.agent} + {self.perturb}" if self.perturb else self.agent)
 
 
-def _model(given: Any) -> Any:
-    return {"agent": given} if isinstance(given, str) else given
-
-
-ModelChoice = Annotated[Model, BeforeValidator(_model)]
+ModelChoice = Annotated[Model, BeforeValidator(lambda given: {"agent": given} if isinstance(given, str) else given)]
 
 
 class Suite(_Form):
@@ -144,12 +140,12 @@ class Suite(_Form):
     def with_defaults(self) -> list[SuiteTask]:
         """Return the tasks with what the suite says of all of them; keyword arguments are joined."""
         given = self.defaults.model_dump(exclude_unset=True)
-        tasks = []
-        for task in self.tasks:
-            own = task.model_dump(exclude_unset=True)
-            joined = {**given, **own, "kwargs": {**given.get("kwargs", {}), **own.get("kwargs", {})}}
-            tasks.append(SuiteTask.model_validate(joined))
-        return tasks
+        return [
+            SuiteTask.model_validate(
+                {**given, **task.model_dump(exclude_unset=True), "kwargs": {**self.defaults.kwargs, **task.kwargs}}
+            )
+            for task in self.tasks
+        ]
 
 
 class SuiteChanges(TypedDict, total=False):
