@@ -58,14 +58,6 @@ def test_what_was_played_again_counts_against_a_limit_of_the_run() -> None:
     assert sum((row.tokens_in or 0) + (row.tokens_out or 0) for row in [*run.rows, *run.superseded]) == 60
 
 
-def test_a_run_goes_on_with_the_same_limits_of_an_episode_only() -> None:
-    """Its scores depend on them."""
-    evaluate(suite(2), {"a": answers}, out="run", limits=Limits(episode_tokens=5, run_tokens=12))
-    with pytest.raises(ArgumentError, match=r"another run: limits\.episode_tokens 5 and 500;"):
-        evaluate(suite(2), {"a": answers}, out="run", limits=Limits(episode_tokens=500))
-    assert len(evaluate(suite(2), {"a": answers}, out="run", limits=Limits(episode_tokens=5)).rows) == 2
-
-
 CODE = {
     "stoptest_env.py": "import gem_core\nfrom stoptest_helper import ROWS\n\nEnv = gem_core.DatasetEnv\n",
     "stoptest_helper.py": "ROWS = []\n",
@@ -101,13 +93,24 @@ def test_a_run_does_not_go_on_quietly_with_other_code(monkeypatch: pytest.Monkey
     assert (run.path, len(run.rows), run.info["sessions"][-1]["changed"]) == (first.path, 4, [told])
 
 
-def test_another_run_in_the_folder_is_told_by_what_differs() -> None:
-    """By name, with the value of both."""
-    evaluate(suite(2), {"a": answers}, out="run")
-    with pytest.raises(ArgumentError) as told:
-        evaluate(suite(3), {"a": answers, "b": answers}, out="run", epochs=2, kwargs={"prompt_template": "{question}"})
-    assert 'run holds another run: models ["a"] and ["a", "b"]; epochs 1 and 2' in str(told.value)
-    assert "task.stoptest:Rows.kwargs.prompt_template null and {question}; choose" in str(told.value)
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"limits": Limits(episode_tokens=500)}, "limits.episode_tokens 5 and 500"),
+        ({"epochs": 2}, "epochs 1 and 2"),
+        ({"kwargs": {"prompt_template": "{question}"}}, "task.stoptest:Rows.kwargs.prompt_template"),
+        ({"limit": 3}, "task.stoptest:Rows.rows 2 and 3"),
+        ({"perturb": ["typos"]}, "models"),
+    ],
+)
+def test_another_run_in_the_folder_is_told_by_what_differs(changes: Any, told: str) -> None:
+    """By name, with the value of both; limits of the run may differ."""
+    given: Any = {"out": "run", "limits": Limits(episode_tokens=5)}
+    evaluate(suite(2), {"a": answers}, **{**given, "limits": Limits(episode_tokens=5, run_tokens=12)})
+    with pytest.raises(ArgumentError) as caught:
+        evaluate(suite(2), {"a": answers}, **{**given, **changes})
+    assert told in str(caught.value)
+    assert len(evaluate(suite(2), {"a": answers}, **given).rows) == 2
 
 
 def test_a_run_that_cannot_begin_leaves_no_folder() -> None:
