@@ -1,19 +1,5 @@
 """Data sets: environments that ask their rows, and functions that load rows."""
 
-from __future__ import annotations
+import lazy_loader
 
-from gem_core.data.dataset import DatasetEnv, DatasetOptions, Grade, chosen_index
-from gem_core.data.loading import RowFunction, RowSource, load_rows
-from gem_core.data.rows import Row, Rows
-
-__all__ = [
-    "DatasetEnv",
-    "DatasetOptions",
-    "Grade",
-    "Row",
-    "RowFunction",
-    "RowSource",
-    "Rows",
-    "chosen_index",
-    "load_rows",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

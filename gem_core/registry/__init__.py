@@ -1,34 +1,5 @@
 """The registry: records that plugins offer, the loader of plugins, and look-up by name."""
 
-from __future__ import annotations
+import lazy_loader
 
-from gem_core.registry.entry_points import load_entry_point
-from gem_core.registry.hookspecs import hookimpl
-from gem_core.registry.lookup import Registry, registry
-from gem_core.registry.requirements import RequirementStatus
-from gem_core.registry.specs import (
-    AgentSpec,
-    CallFormatSpec,
-    CommandSpec,
-    EnvSpec,
-    RequirementSpec,
-    ToolSpec,
-    VectorBackendSpec,
-    WrapperSpec,
-)
-
-__all__ = [
-    "AgentSpec",
-    "CallFormatSpec",
-    "CommandSpec",
-    "EnvSpec",
-    "Registry",
-    "RequirementSpec",
-    "RequirementStatus",
-    "ToolSpec",
-    "VectorBackendSpec",
-    "WrapperSpec",
-    "hookimpl",
-    "load_entry_point",
-    "registry",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
