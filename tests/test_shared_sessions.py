@@ -66,7 +66,3 @@ def test_a_shared_session_is_forked_once_for_all():
     assert counted(other, "b") == "2"
     env.close()
     other.close()
-
-
-def test_by_default_each_tool_has_a_session_of_its_own():
-    assert gem.Tool.session_key.__get__(Counting("x", "y", [])) == "x"

@@ -6,7 +6,6 @@ import asyncio
 import gc
 import json
 import threading
-from collections.abc import Callable
 from typing import Any
 
 import pydantic
@@ -230,23 +229,6 @@ def test_asynchronous_tools_work_in_plain_code_and_in_coroutines() -> None:
     assert plain.step("<note>a</note>") == asyncio.run(other.step_async("<note>a</note>"))
     plain.close()
     other.close()
-
-
-def test_fork_knows_how_things_stand() -> None:
-    """A tool step of a fork shows the board of the episode."""
-    env = tool_env()
-    env.step("a turn of the task")
-    other = env.fork()
-    assert other.step("<note>a</note>")[0].endswith("Left: 8.")
-
-
-def test_tools_and_wrappers_are_made_by_name_in_one_list(offer: Callable[..., None]) -> None:
-    """Neighbouring tools share one ToolEnv; a wrapper behind them, and a tool that comes last, are what they are."""
-    offer(*(gem.ToolSpec(name=tool.name, entry_point=f"toys:{tool.__name__}") for tool in TOOLS))
-    env = gem.make("toy:Countdown-v0", wrappers="calculator,note,concat")
-    assert [type(layer).__name__ for layer in (env, env.env)] == ["Concat", "ToolEnv"]
-    assert list(env.env.tools) == ["calculator", "note"]
-    assert type(gem.make("toy:Countdown-v0", wrappers="concat,note")) is ToolEnv
 
 
 @pytest.mark.parametrize("uses", [-1, 1.5, "2"])

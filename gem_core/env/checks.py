@@ -15,6 +15,7 @@ from gem_core.types import Info, Observation, ResetResult, StepResult
 Verdict = tuple[Mapping[str, float], Mapping[str, bool], Mapping[str, bool], Mapping[str, Info]]
 """``(rewards, terminations, truncations, infos)``; one left out gets 0.0, False, False and an empty info."""
 
+_OBSERVATIONS = (str, list)
 _FLAGS = (bool, np.bool_, int, np.integer)
 
 
@@ -36,12 +37,12 @@ def checked_result(result: object, whose: str = "") -> StepResult:
     observation, reward, terminated, truncated, info = result
     if type(reward) is not float or not math.isfinite(reward):
         reward = checked_reward(reward, f"{whose}the reward")
-    if not isinstance(observation, str | list) or not isinstance(info, dict):
+    if not isinstance(observation, _OBSERVATIONS) or not isinstance(info, dict):
         _refuse_types(observation, info, whose)
-    for name, flag in ("terminated", terminated), ("truncated", truncated):
-        if type(flag) is not bool and not (isinstance(flag, _FLAGS) and flag in (0, 1)):  # any object has a truth value
-            raise TypeError(f"{whose}{name} must be True or False, not {flag!r:.200}")
-    return observation, reward, bool(terminated), bool(truncated), info.copy()
+    if type(terminated) is not bool or type(truncated) is not bool:
+        terminated = _checked_flag(terminated, f"{whose}terminated")
+        truncated = _checked_flag(truncated, f"{whose}truncated")
+    return observation, reward, terminated, truncated, info.copy()
 
 
 def checked_reset(result: object, whose: str = "") -> ResetResult:
@@ -53,15 +54,21 @@ def checked_reset(result: object, whose: str = "") -> ResetResult:
     if not isinstance(result, tuple) or len(result) != 2:
         raise TypeError(f"{whose}reset must return (observation, info), not {result!r:.200}")
     observation, info = result
-    if not isinstance(observation, str | list) or not isinstance(info, dict):
+    if not isinstance(observation, _OBSERVATIONS) or not isinstance(info, dict):
         _refuse_types(observation, info, whose)
     return observation, info.copy()
 
 
 def _refuse_types(observation: object, info: object, whose: str) -> NoReturn:
-    if not isinstance(observation, str | list):
+    if not isinstance(observation, _OBSERVATIONS):
         raise TypeError(f"{whose}an observation must be text or a list, not {type(observation).__name__}")
     raise TypeError(f"{whose}info must be a dictionary, not {type(info).__name__}")
+
+
+def _checked_flag(flag: Any, whose: str) -> bool:
+    if not isinstance(flag, _FLAGS) or flag not in (0, 1):  # any object has a truth value
+        raise TypeError(f"{whose} must be True or False, not {flag!r:.200}")
+    return bool(flag)
 
 
 def checked_reward(reward: Any, whose: str) -> float:
@@ -198,7 +205,7 @@ def checked_observation(name: str, agent: str, observation: object) -> Observati
     Raises:
         TypeError: It is neither text nor a list.
     """
-    if not isinstance(observation, str | list):
+    if not isinstance(observation, _OBSERVATIONS):
         raise TypeError(f"{name}: an observation must be text or a list, and that of {agent!r} is {observation!r:.100}")
     return observation
 
