@@ -13,11 +13,11 @@ from typing import Any, TypeVar
 
 import pytest
 from held_envs import BEGUN, GATES, KINDS, LONG_S, register_held
-from toys import sampling_agent
+from toys import by_key, sampling_agent
 
 import gem_core as gem
 from gem_core.background import background_loop
-from gem_core.errors import AgentError, ArgumentError, EnvFaultError, RequestError
+from gem_core.errors import ArgumentError, EnvFaultError, RequestError
 from gem_core.records.plans import PlanItem
 from gem_core.rollouts.agent import Context
 
@@ -50,10 +50,6 @@ def run(coroutine: Coroutine[Any, Any, T]) -> T:
 
 async def collected(episodes: AsyncIterator[gem.Episode]) -> list[gem.Episode]:
     return by_key([episode async for episode in episodes])
-
-
-def by_key(episodes: list[gem.Episode]) -> list[gem.Episode]:
-    return sorted(episodes, key=lambda episode: (int(episode.key), episode.repeat))
 
 
 def lasting(*turns: int) -> list[PlanItem]:
@@ -93,17 +89,22 @@ async def answer_a(observation: gem.Observation, context: Context) -> str:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_agent_runs_on_the_loop_of_the_caller_whatever_the_environment(kind: str) -> None:
-    """Where its connections are; environments run elsewhere."""
-    loops: set[asyncio.AbstractEventLoop] = set()
+    """Where its connections are, from ``prepare`` on; environments run elsewhere."""
+    loops: list[asyncio.AbstractEventLoop] = []
 
-    async def agent(observation: gem.Observation, context: Context) -> str:
-        loops.add(asyncio.get_running_loop())
-        return context.sample_random_action()
+    class Agent:
+        async def prepare(self) -> None:
+            loops.append(asyncio.get_running_loop())
+
+        async def __call__(self, observation: gem.Observation, context: Context) -> str:
+            loops.append(asyncio.get_running_loop())
+            return context.sample_random_action()
 
     async def main() -> None:
-        episodes = await collected(gem.arollout(gem.make_vec(KINDS[kind], 2, seed=0), agent, episodes=4))
+        plan = lasting(1, 1, 1, 1)
+        episodes = await collected(gem.arollout(gem.make_vec(KINDS[kind], 2, seed=0), Agent(), plan=plan))
         assert [episode.error for episode in episodes] == [None] * 4
-        assert loops == {asyncio.get_running_loop()}
+        assert loops == [asyncio.get_running_loop()] * 5
 
     run(main())
 
@@ -248,18 +249,6 @@ def test_requests_at_once_reach_what_is_allowed_and_no_more(most: int | None, on
     assert (peak, asked, open_now) == (wanted, 72, 0)
 
 
-def test_who_waited_first_is_asked_first() -> None:
-    """The slots take turns where one request is open at a time."""
-    asked: list[str] = []
-
-    async def agent(observation: gem.Observation, context: Context) -> str:
-        asked.append(context.episode)
-        return "a"
-
-    run(collected(gem.arollout(gem.make_vec(COUNTDOWN, 3, seed=0), agent, plan=lasting(3, 3, 3), max_requests=1)))
-    assert asked == ["0.0", "1.0", "2.0"] * 3
-
-
 @pytest.mark.parametrize("most", [0, 1.5, True])
 def test_a_number_of_requests_that_cannot_be_is_refused(most: Any) -> None:
     """Before anything is made."""
@@ -356,16 +345,6 @@ def test_error_of_the_agent_ends_the_run_and_every_other_request() -> None:
     assert sorted(ended) == ["0.0", "1.0", "2.0", "3.0"]
 
 
-def test_agent_that_cancels_itself_is_named() -> None:
-    """It is not taken for a cancellation of the run."""
-
-    async def agent(observation: gem.Observation, context: Context) -> str:
-        raise asyncio.CancelledError
-
-    with pytest.raises(AgentError, match="an agent must not cancel its own task"):
-        run(collected(gem.arollout(COUNTDOWN, agent, episodes=1, seed=0)))
-
-
 def test_what_is_over_comes_out_before_the_error_that_ends_the_run() -> None:
     """Both are found in the same turn of the loop, and nothing that was finished is lost."""
 
@@ -384,25 +363,6 @@ def test_what_is_over_comes_out_before_the_error_that_ends_the_run() -> None:
 
 
 # Agents.
-
-
-def test_agent_is_prepared_on_the_loop_of_the_caller() -> None:
-    """Before its first episode."""
-    loops: list[asyncio.AbstractEventLoop] = []
-
-    class Prepared:
-        async def prepare(self) -> None:
-            loops.append(asyncio.get_running_loop())
-
-        async def __call__(self, observation: gem.Observation) -> str:
-            loops.append(asyncio.get_running_loop())
-            return "a"
-
-    async def main() -> None:
-        await collected(gem.arollout(COUNTDOWN, Prepared(), plan=lasting(1), seed=0))
-        assert loops == [asyncio.get_running_loop()] * 2
-
-    run(main())
 
 
 def test_awaitables_of_any_kind_are_answers() -> None:

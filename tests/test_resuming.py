@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from toys import sampling_agent
+from toys import by_key, sampling_agent
 
 import gem_core as gem
 from gem_core.errors import ArgumentError, EpisodeFileError, RequestError
@@ -23,10 +23,6 @@ from gem_core.rollouts.agent import Context
 
 COUNTDOWN = "toy:Countdown-v0"
 SUMS = "toy:Sums-v0"
-
-
-def by_key(episodes: Any) -> list[gem.Episode]:
-    return sorted(episodes, key=lambda episode: (int(episode.key), episode.repeat))
 
 
 def keys(episodes: Any) -> list[str]:

@@ -5,17 +5,15 @@ from __future__ import annotations
 import asyncio
 import os
 import threading
-import time
 from collections import Counter
-from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
 import pytest
-from held_envs import GATES, KINDS, LONG_S, register_held
+from held_envs import LONG_S, register_held
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from toys import CountdownEnv, Notebook, sampling_agent
+from toys import CountdownEnv, Notebook, by_key, sampling_agent
 from vector_envs import INLINE
 
 import gem_core as gem
@@ -41,10 +39,6 @@ ECHO = "toy:Echo-v0"
 @pytest.fixture(autouse=True)
 def _held() -> None:
     register_held()
-
-
-def by_key(episodes: Iterator[gem.Episode]) -> list[gem.Episode]:
-    return sorted(episodes, key=lambda episode: (int(episode.key), episode.repeat))
 
 
 @settings(deadline=None, max_examples=20)
@@ -460,19 +454,6 @@ def test_environment_without_sampling_stops_the_run_by_its_own_error() -> None:
     """No fault: another agent is needed."""
     with pytest.raises(SamplingNotSupported):
         list(gem.rollout(ECHO, sampling_agent, episodes=3, seed=0))
-
-
-def test_a_hang_is_given_up_although_nobody_waits() -> None:
-    """Where there is always something else to do, as for ``recv`` without waiting."""
-    plan = [PlanItem(kwargs={"gate": "never"})]
-    with gem.make_vec(KINDS["thread"], 1, plan=plan, step_timeout=0.05, seed=0) as vector:
-        vector.reset()
-        vector.send(["a"])
-        limit = time.monotonic() + LONG_S
-        while not (received := vector.recv(min_envs=0)).slots:
-            assert time.monotonic() < limit
-        assert received.infos[0]["final_info"]["error"]["kind"] == "timeout"
-        GATES["never"].set()
 
 
 @pytest.mark.parametrize("backend", ["sync", "async", "process"])

@@ -174,24 +174,6 @@ def test_async_opponents_that_act_at_once_are_asked_side_by_side() -> None:
     assert run_sync(env.step_async("3"))[0] == "You are b. Bids: 1 2 1 1 3 1"
 
 
-def test_opponents_of_many_slots_are_waited_for_together() -> None:
-    """With an asynchronous opponent a vector environment asks for all slots before any has an answer."""
-    asked: list[str] = []
-
-    async def sociable(observation: Any, context: Any) -> str:
-        asked.append(context.episode)
-        while len(asked) % 4:
-            await asyncio.sleep(0)
-        return "1"
-
-    gem.register("joint:Auction-v7", AuctionEnv, agents=["a", "b"])
-    gem.register("joint:Auction-v7-solo", single_agent, env="joint:Auction-v7", seat="b", others=sociable)
-    with gem.make_vec("joint:Auction-v7-solo", 4, seed=0) as vec:
-        assert vec.reset()[0] == ["You are b. Bids: 1"] * 4
-        assert vec.step(["2"] * 4)[0] == ["You are b. Bids: 1 2 1"] * 4
-    assert len(asked) == 8
-
-
 def failing(error: Any) -> Callable[[Any, Any], str]:
     """Return an agent that raises in its second turn, or returns what is no text."""
 

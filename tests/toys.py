@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import pydantic
@@ -133,6 +134,11 @@ class AsyncNotebook(Notebook):
 def sampling_agent(observation: gem.Observation, context: Any) -> str:
     """Answer with a sampled action."""
     return str(context.sample_random_action())
+
+
+def by_key(episodes: Iterable[gem.Episode]) -> list[gem.Episode]:
+    """Return episodes in the order of their plan."""
+    return sorted(episodes, key=lambda episode: (int(episode.key), episode.repeat))
 
 
 def register_toys() -> None:
