@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import gem_core
 
@@ -60,24 +61,33 @@ def install(case: str, target: Path) -> Path:
     site = target / case
     site.mkdir()
     points = {"gem.plugins": {case: _POINTS.get(case, f"gem_{case}")}}
-    project = {"name": f"gem-{case.replace('_', '-')}", "version": "1.0", "entry-points": points}
+    project: dict[str, Any] = {"name": f"gem-{case.replace('_', '-')}", "version": "1.0", "entry-points": points}
     if case in ONE_MODULE:
         (site / f"gem_{case}.py").write_text(ONE_MODULE[case])
     else:
         project = tomllib.loads((FIXTURES / case / "pyproject.toml").read_text())["project"]
         for module in (FIXTURES / case).glob("*.py"):
             shutil.copy(module, site)
+    add_metadata(site, project)
+    return site
+
+
+def add_metadata(site: Path, project: dict[str, Any]) -> None:
+    """Write what an installer says of a distribution beside its modules.
+
+    Args:
+        site: Folder of the modules.
+        project: The table of this name in its pyproject.toml.
+    """
     info = site / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
     info.mkdir()
-    header = f"Metadata-Version: 2.4\nName: {project['name']}\nVersion: {project['version']}\n"
-    (info / "METADATA").write_text(header)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.4\nName: {project['name']}\nVersion: {project['version']}\n")
     lines = [
         f"[{group}]\n{name} = {value}\n"
         for group, points in project["entry-points"].items()
         for name, value in points.items()
     ]
     (info / "entry_points.txt").write_text("".join(lines))
-    return site
 
 
 def python(code: str, paths: list[Path], **variables: str) -> subprocess.CompletedProcess[str]:

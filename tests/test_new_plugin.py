@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from distributions import add_metadata
 
 import gem_core
 from gem_core.cli import main
@@ -24,17 +25,6 @@ LONGEST = "a-plugin-of-the-longest-name-0"
 
 def ids(kinds: object) -> str:
     return "+".join(kinds) if isinstance(kinds, list) else str(kinds)
-
-
-def installed(folder: Path) -> Path:
-    """Do what an editable installation does, in the folder itself."""
-    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
-    info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.4\nName: {project['name']}\nVersion: {project['version']}\n")
-    points = project["entry-points"]["gem.plugins"]
-    (info / "entry_points.txt").write_text("[gem.plugins]\n" + "".join(f"{k} = {v}\n" for k, v in points.items()))
-    return folder
 
 
 def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -67,10 +57,11 @@ def test_generated_tests_pass(kinds: list[str], tmp_path: Path) -> None:
     """Installed, it is found, declares only, and keeps every promise that it is held to, without a warning."""
     folder = tmp_path / "gem-mine"
     write(folder, render(names_of("mine"), kinds))
+    add_metadata(folder, tomllib.loads((folder / "pyproject.toml").read_text())["project"])
     arguments = ["pytest", "-q", "-p", "no:cacheprovider"]
     if len(kinds) == 1:  # the conformance of each is tried in the combination of all
         arguments += ["-k", "not contract"]
-    done = run(*arguments, cwd=installed(folder))
+    done = run(*arguments, cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -108,7 +99,7 @@ def test_impossible_names_are_refused(name: str) -> None:
 @pytest.mark.parametrize("name", ["class", "core", "gem", "gem-core", "import"])
 def test_words_with_a_meaning_are_refused(name: str) -> None:
     """Keywords, and GEM's own names."""
-    with pytest.raises(ArgumentError, match="is a word with a meaning of its own; choose another name"):
+    with pytest.raises(ArgumentError, match="a meaning of its own"):
         names_of(name)
 
 

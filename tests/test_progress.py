@@ -8,7 +8,6 @@ import select
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest  # noqa: TC002 - as in every other test
 from toys import sampling_agent
@@ -79,7 +78,6 @@ def test_episodes_that_were_there_are_over() -> None:
     """A run that is resumed goes on where it was."""
     first = list(gem.rollout(COUNTDOWN, sampling_agent, episodes=3, seed=0))[:2]
     told: list[tuple[int, int | None]] = []
-    note: Any = lambda *counts: told.append(counts)  # noqa: E731 - it stands for any callable
     plan = [PlanItem(), PlanItem(), PlanItem(repeat=2)]
-    list(gem.rollout(COUNTDOWN, sampling_agent, plan=plan, resume=first, progress=note))
+    list(gem.rollout(COUNTDOWN, sampling_agent, plan=plan, resume=first, progress=lambda *each: told.append(each)))
     assert told == [(2, 4), (3, 4), (4, 4)]
