@@ -42,6 +42,7 @@ def test_rows_of_one_epoch_are_tested_by_mcnemar(tmp_path: Path) -> None:
     assert found.difference == paired_difference(*rows, within=(0, 1))
     assert found.verdict == "undecided"
     assert found.more_rows
+    assert found.more_episodes == found.more_rows
 
 
 def test_epochs_and_returns_are_tested_by_permutation(tmp_path: Path) -> None:
