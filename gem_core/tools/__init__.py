@@ -13,12 +13,13 @@ from gem_core.tools.calls import (
     unknown_tool,
 )
 from gem_core.tools.env import ToolEnv, find_tool_env
-from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, ToolResult
+from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, DescribedTool, Tool, ToolCall, ToolResult
 
 __all__ = [
     "CALL_CLOSE",
     "CALL_OPEN",
     "CallReader",
+    "DescribedTool",
     "Tool",
     "ToolCall",
     "ToolEnv",

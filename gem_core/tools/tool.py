@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import json
 import re
@@ -289,3 +290,21 @@ def _is_free_text(described: object) -> bool:
 def _placeholder(parameter: object) -> str:
     text = parameter.get("description") if isinstance(parameter, Mapping) else None
     return " ".join(text.split()) if isinstance(text, str) else "…"
+
+
+class DescribedTool(Tool):
+    """A tool that is only described, so that calls of it can be read; whoever reads them does what they say.
+
+    Args:
+        function: Its name, description and parameters, as the OpenAI chat API describes functions.
+        fences: Languages of fenced blocks that are calls of it.
+    """
+
+    def __init__(self, function: Mapping[str, Any], fences: tuple[str, ...] = ()) -> None:
+        self.name, self.description, self.fences = function["name"], function.get("description", ""), fences
+        self._parameters = function.get("parameters", {})
+
+    def parameters_schema(self) -> dict[str, Any]:
+        """Return the JSON Schema of the arguments."""
+        schema: dict[str, Any] = copy.deepcopy(self._parameters)
+        return schema

@@ -1,6 +1,6 @@
 """The public names, which are imported on first use."""
 
-from .database import Database as Database, changed_records as changed_records, fork as fork, restore as restore
+from .database import Database as Database, fork as fork
 from .domains import Domain as Domain
 from .env import TauEnv as TauEnv
 from .folders import TaskSet as TaskSet, read_folder as read_folder

@@ -28,23 +28,6 @@ def own(database: Database, table: str, key: str) -> Record:
     return record
 
 
-def changed_records(database: Database, original: Database) -> Database:
-    """Return the records that are not those of the original, by table: what ``restore`` needs."""
-    changed = {
-        name: {key: record for key, record in records.items() if record is not original[name].get(key)}
-        for name, records in database.items()
-    }
-    return {name: records for name, records in changed.items() if records}
-
-
-def restore(changed: Database, original: Database) -> Database:
-    """Return a fork of the original with the given records in it."""
-    database = fork(original)
-    for name, records in changed.items():
-        database[name].update(records)
-    return database
-
-
 class Digest:
     """Computes the hash of a database as the benchmark does, from texts of the original records made once.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Self
@@ -12,7 +11,7 @@ from typing import Any, Self
 from gem_core import Env, MultiAgentEnv, Response, single_agent
 from gem_core.data import chosen_index
 from gem_core.errors import ArgumentError, DatasetError
-from gem_core.tools import CALL_CLOSE, CALL_OPEN, CallReader, Tool, ToolCall, native_calls, visible_text
+from gem_core.tools import CALL_CLOSE, CALL_OPEN, CallReader, DescribedTool, ToolCall, native_calls, visible_text
 from gem_core.types import TERMINAL_STATE, Info
 from gem_tau.database import fork
 from gem_tau.folders import TaskSet, read_folder
@@ -210,23 +209,6 @@ def solo(
     """
     env = TauEnv(folder, split=split, max_assistant_steps=max_assistant_steps)
     return single_agent(env, ASSISTANT, {USER: user})
-
-
-class DescribedTool(Tool):
-    """A tool that is only described, so that calls of it can be read; the environment executes them.
-
-    Args:
-        function: Its name, description and parameters, as the OpenAI chat API describes functions.
-    """
-
-    def __init__(self, function: Mapping[str, Any]) -> None:
-        self.name, self.description = function["name"], function.get("description", "")
-        self._parameters = function.get("parameters", {})
-
-    def parameters_schema(self) -> dict[str, Any]:
-        """Return the JSON Schema of the arguments."""
-        schema: dict[str, Any] = copy.deepcopy(self._parameters)
-        return schema
 
 
 def _executed(response: str, call: ToolCall) -> str | None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from tau_folders import CANCEL, MOVE, tau2_task, tau_task, write_tau, write_tau2
 
-from gem_tau import Action, Database, changed_records, fork, read_folder, replay, restore, reward
+from gem_tau import Action, Database, fork, read_folder, replay, reward
 from gem_tau.database import Digest
 
 
@@ -97,18 +97,3 @@ def test_databases_are_the_same_where_their_hashes_are(tmp_path: Path) -> None:
     more = fork(database)
     more["users"]["bob"] = user
     assert not digest.same(database, more)
-
-
-def test_what_was_changed_restores_a_database(tmp_path: Path) -> None:
-    """As plain JSON, and nothing is shared with what is restored."""
-    task_set = read_folder(write_tau(tmp_path))
-    database = replay(task_set, task_set.tasks[0].actions)
-    changed = changed_records(database, task_set.database)
-    assert {table: list(records) for table, records in changed.items()} == {
-        "orders": ["#W1"],
-        "users": ["ann_lee_1"],
-    }
-    restored = restore(json.loads(json.dumps(changed)), task_set.database)
-    assert task_set.digest(restored) == task_set.digest(database)
-    task_set.domain.call(restored, MOVE["name"], MOVE["kwargs"])
-    assert changed_records(database, task_set.database) == changed

@@ -2,59 +2,42 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from gem_core.tools import Tool
+from gem_core.tools import DescribedTool, Tool
 
 if TYPE_CHECKING:
     from gem_terminal.settings import Settings
 
 
-class _Described(Tool):
-    """A tool that is only described and read; the environment does what it says."""
-
-    def __init__(
-        self,
-        name: str,
-        description: str,
-        properties: Mapping[str, Any],
-        required: Sequence[str],
-        fences: tuple[str, ...] = (),
-    ) -> None:
-        self.name, self.description, self.fences = name, description, fences
-        self._schema = {"type": "object", "properties": dict(properties), "required": list(required)}
-
-    def parameters_schema(self) -> dict[str, Any]:
-        return copy.deepcopy(self._schema)
+def _described(name: str, description: str, required: list[str], **properties: tuple[str, str]) -> DescribedTool:
+    schema = {key: {"type": kind, "description": words} for key, (kind, words) in properties.items()}
+    parameters = {"type": "object", "properties": schema, "required": required}
+    fences = ("bash", "sh", "shell") if name == "bash" else ()
+    return DescribedTool({"name": name, "description": description, "parameters": parameters}, fences)
 
 
 TOOLS: Mapping[str, Tool] = {
     tool.name: tool
     for tool in (
-        _Described(
+        _described(
             "bash",
             "Runs a command in a persistent shell and returns its output and exit code. The working directory, "
             "variables, functions and background jobs stay from call to call.",
-            {
-                "command": {"type": "string", "description": "what the shell runs, of one or more lines"},
-                "timeout": {"type": "number", "description": "seconds after which the command is killed"},
-            },
             ["command"],
-            fences=("bash", "sh", "shell"),
+            command=("string", "what the shell runs, of one or more lines"),
+            timeout=("number", "seconds after which the command is killed"),
         ),
-        _Described(
+        _described(
             "keys",
             "Types keys into the terminal, for interactive programs, and returns the screen. Special keys are written "
             "as <Enter>, <Tab>, <Esc>, <Up>, <C-c>, <F1>; no key at all shows the screen.",
-            {
-                "keys": {"type": "string", "description": "text and special keys, as in :wq<Enter>"},
-                "wait": {"type": "number", "description": "seconds to wait for the screen to come to rest"},
-            },
             ["keys"],
+            keys=("string", "text and special keys, as in :wq<Enter>"),
+            wait=("number", "seconds to wait for the screen to come to rest"),
         ),
-        _Described("finish", "Ends the task, and has what is there now verified.", {}, []),
+        _described("finish", "Ends the task, and has what is there now verified.", []),
     )
 }
 """The three actions as tools, by name."""

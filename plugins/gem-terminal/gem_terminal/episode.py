@@ -7,18 +7,19 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from gem_terminal.errors import MachineError, MachineLostError, TaskError
 from gem_terminal.shell import CommandResult, ScreenResult, Shell
-from gem_terminal.tasks.staging import stage
+from gem_terminal.tasks.staging import stage, wait_until_healthy
 from gem_terminal.verifying.verdict import reward_of_steps
 from gem_terminal.verifying.verify import run_in_shell, verify
 
 if TYPE_CHECKING:
     from gem_terminal.backends.interface import Backend, Completed, Machine
     from gem_terminal.settings import Settings
-    from gem_terminal.tasks.task import Healthcheck, Step, Task
+    from gem_terminal.tasks.task import Step, Task
     from gem_terminal.verifying.verdict import Verdict
 
 _LEAST_S = 0.5
@@ -94,8 +95,11 @@ class Episode:
             MachineError: The machine is not ready.
         """
         stage(self.machine, self.step)
-        if self.step.healthcheck is not None:
-            self._wait_until_healthy(self.step.healthcheck)
+        if (check := self.step.healthcheck) is not None:
+            # What the agent did in the steps before may be why it fails, and may not.
+            what = f"the task {self.task.name}, before its step {self.step.name!r},"
+            run = partial(self.machine.run, check.command, timeout_s=check.timeout_s)
+            wait_until_healthy(check, run, what, by_agent=None, until=self._inner_end)
         self._step_began = time.monotonic()
         self._turns_before_step = self.turns
         self._open_shell()
@@ -242,20 +246,6 @@ class Episode:
     def _run_tests(self, command: Sequence[str], timeout_s: float) -> Completed:
         """Run the tests in the agent's own shell."""
         return run_in_shell(self.machine, self._open_shell(), command, timeout_s)
-
-    def _wait_until_healthy(self, check: Healthcheck) -> None:
-        began = time.monotonic()
-        failures = 0
-        while failures < max(1, check.retries) and not self.is_overdue:
-            counts = time.monotonic() - began >= check.start_period_s
-            done = self.machine.run(check.command, timeout_s=check.timeout_s)
-            if done.exit_code == 0:
-                return
-            failures += counts
-            time.sleep(min(check.interval_s, max(0.0, self._inner_end - time.monotonic())))
-        # What the agent did in the steps before may be the cause, and may not.
-        what = f"the task {self.task.name} is not ready for its step {self.step.name!r}: its healthcheck fails"
-        raise MachineLostError(what, by_agent=None)
 
 
 def _agent_limit_s(step: Step, settings: Settings) -> float | None:

@@ -180,10 +180,11 @@ def test_run_takes_the_next_command_in_a_shell_of_another_kind(shell: Shell, com
 @bash_only
 def test_open_outlives_a_startup_file_that_ends_the_shell(machine: Machine, shell: Shell) -> None:
     """An agent that puts ``exit`` where shells begin does not lock itself out."""
-    answer(shell, 'echo "exit 9" > "$PWD/.bashrc"; echo ok')
-    second = Shell(machine, env={"HOME": shell.workdir}, workdir="/")
+    answer(shell, 'cp ~/.bashrc kept 2>/dev/null; echo "exit 9" > ~/.bashrc')
+    second = Shell(machine, workdir="/")
     assert second.run("echo here", LONG).output == "here\n"
     second.close()
+    answer(shell, "mv kept ~/.bashrc 2>/dev/null || rm ~/.bashrc")
 
 
 def test_run_hides_output_that_is_sent_away(shell: Shell) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,9 +15,9 @@ from memory_backend import MemoryBackend, MemoryMachine, plain_task
 
 from gem_terminal.backends.interface import Completed, Machine
 from gem_terminal.command import check_command
-from gem_terminal.errors import MachineError
-from gem_terminal.tasks.staging import collect, stage
-from gem_terminal.tasks.task import Collect, Solution, Step, Task, Verifier
+from gem_terminal.errors import MachineError, MachineLostError
+from gem_terminal.tasks.staging import collect, stage, wait_until_healthy
+from gem_terminal.tasks.task import Collect, Healthcheck, Solution, Step, Task, Verifier
 from gem_terminal.verifying.verdict import Verdict
 
 
@@ -90,6 +91,22 @@ def test_commands_before_the_verifier_are_run_and_told_of() -> None:
     ]
 
 
+def test_a_healthcheck_is_tried_as_often_as_it_may_fail() -> None:
+    """Failures in its first seconds do not count, and a time limit ends it."""
+    codes = iter([1, 1, 0])
+    wait_until_healthy(Healthcheck(("x",), 0.0, retries=3), lambda: Completed(next(codes), b""), "it", by_agent=None)
+    tried: list[int] = []
+
+    def fail() -> Completed:
+        tried.append(1)
+        return Completed(7, b"ill")
+
+    for check in (Healthcheck(("x",), 0.0, retries=2), Healthcheck(("x",), 0.0, start_period_s=0.2, retries=1)):
+        with pytest.raises(MachineLostError, match="exit code 7 ill"):
+            wait_until_healthy(check, fail, "it", by_agent=None, until=time.monotonic() + 60)
+    assert len(tried) > 4
+
+
 class Room:
     """Starts machines that nothing is done with."""
 
@@ -120,7 +137,8 @@ def test_check_makes_each_step_ready_before_it_is_tried(monkeypatch: pytest.Monk
     monkeypatch.setattr(check_command, "stage", lambda _, one: done.append(f"stage {one.name}"))
     monkeypatch.setattr(check_command, "solve", solves)
     monkeypatch.setattr(check_command, "verify", verifies)
-    CliRunner().invoke(check_command.command, [])
+    # As gem calls it: click keeps the option of the first call.
+    CliRunner().invoke(check_command.command, [], help_option_names=["-h", "--help"])
     assert done == [
         *("stage one", "verify one", "stage two", "verify two"),
         *("stage one", "solve one", "verify one", "stage two", "solve two", "verify two"),

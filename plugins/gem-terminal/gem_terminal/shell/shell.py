@@ -7,7 +7,7 @@ those of one shell from turn to turn. How the shell tells that it is ready is in
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from gem_terminal.errors import MachineError, MachineLostError
@@ -43,7 +43,6 @@ class Shell:
         machine: Where it runs; stays the caller's.
         user: Who it runs as; empty for the container's user.
         workdir: Where it begins; empty for the container's.
-        env: Variables beside the container's.
         columns: Width of the terminal.
         lines: Height of the terminal.
         most_output: Characters of a command's output; what is more is cut out of the middle.
@@ -56,7 +55,6 @@ class Shell:
         *,
         user: str = "",
         workdir: str = "",
-        env: Mapping[str, str] | None = None,
         columns: int = 120,
         lines: int = 40,
         most_output: int = 16_000,
@@ -67,7 +65,7 @@ class Shell:
         self._user = user
         self._workdir = workdir
         # Pagers would wait for a key: for commands nothing is paged.
-        self._env = {"TERM": "xterm-256color", "PAGER": "cat", "GIT_PAGER": "cat", "MANPAGER": "cat", **(env or {})}
+        self._env = {"TERM": "xterm-256color", "PAGER": "cat", "GIT_PAGER": "cat", "MANPAGER": "cat"}
         self._most_output = most_output
         self._screen = Screen(columns, lines)
         self._session: Session | None = None

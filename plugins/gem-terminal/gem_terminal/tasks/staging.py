@@ -9,16 +9,19 @@ import base64
 import io
 import shlex
 import tarfile
+import time
+from collections.abc import Callable
 from dataclasses import replace
+from math import inf
 from typing import TYPE_CHECKING
 
 from gem_terminal.backends.interface import Completed
-from gem_terminal.errors import MachineError, TaskError
+from gem_terminal.errors import MachineError, MachineLostError, TaskError
 
 if TYPE_CHECKING:
     from gem_terminal.backends.interface import Machine
     from gem_terminal.shell import Shell
-    from gem_terminal.tasks.task import Solution, Step, Verifier
+    from gem_terminal.tasks.task import Healthcheck, Solution, Step, Verifier
 
 SETUP_TIMEOUT_S = 600.0
 """Seconds that the command before a step may take; the formats have no limit for it."""
@@ -50,6 +53,38 @@ def stage(machine: Machine, step: Step) -> None:
         how = "took too long" if done.exit_code is None else f"ended with exit code {done.exit_code}"
         end = done.output[-2000:].decode("utf-8", "replace").strip()
         raise MachineError(f"the command {' '.join(step.setup)!r} before the step {step.name!r} {how}:\n{end}")
+
+
+def wait_until_healthy(
+    check: Healthcheck, attempt: Callable[[], Completed], what: str, *, by_agent: bool | None, until: float = inf
+) -> None:
+    """Try a healthcheck until it succeeds.
+
+    Args:
+        check: How often, and for how long.
+        attempt: Tries it once.
+        what: What is to be ready, for the error.
+        by_agent: Whether its failure is the agent's doing, see ``MachineLostError``.
+        until: Time of the monotonic clock after which it is not tried any more.
+
+    Raises:
+        MachineLostError: It has failed as often as it may.
+    """
+    began, failures = time.monotonic(), 0
+    while True:
+        done = attempt()
+        if done.exit_code == 0:
+            return
+        failures += time.monotonic() - began > check.start_period_s
+        if failures >= max(check.retries, 1) or time.monotonic() >= until:
+            break
+        time.sleep(max(0.05, min(check.interval_s, until - time.monotonic())))
+    ended = "it took too long" if done.exit_code is None else f"exit code {done.exit_code}"
+    said = " ".join(done.output.decode("utf-8", "replace").split())[-300:]
+    words = " ".join(check.command)
+    raise MachineLostError(
+        f"{what} was not ready after {failures} tries of {words!r}: {ended} {said}", by_agent=by_agent
+    )
 
 
 def collect(machine: Machine, verifier: Verifier) -> list[dict[str, object]]:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import contextlib
 import random
 import re
-import time
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import docker.errors
 
 from gem_terminal.backends.docker.running import Program, follow
 from gem_terminal.backends.docker.sweeping import LIFE_S, Thing, labels
+from gem_terminal.backends.interface import Completed
 from gem_terminal.errors import MachineLostError, TaskError
 from gem_terminal.kept_output import KeptOutput
+from gem_terminal.tasks.staging import wait_until_healthy
 
 if TYPE_CHECKING:
     from gem_terminal.backends.docker.engine import Client
@@ -98,38 +100,20 @@ def start(
         client.start(full_name)
         if container.healthcheck is not None:
             what = f"the service {service!r}" if service else "the container"
-            wait_until_healthy(client, full_name, what, container.healthcheck)
+            attempt = partial(_tried, client, full_name, what, container.healthcheck)
+            wait_until_healthy(container.healthcheck, attempt, "a container", by_agent=False)
 
 
-def wait_until_healthy(client: Client, name: str, what: str, check: Healthcheck) -> None:
-    """Wait until a container is ready.
-
-    Raises:
-        MachineLostError: It ended, or is not ready after all tries.
-    """
-    began = time.monotonic()
-    failures = 0
-    words = " ".join(check.command)
-    while True:
-        output = KeptOutput(2000)
-        with contextlib.closing(Program(client, name, check.command)) as program:
-            code = follow(program, output, check.timeout_s)
-        if code == 0:
-            return
-        state = client.inspect_container(name)["State"]
-        if not state.get("Running"):
-            ended = f"{what} ended with exit code {state.get('ExitCode')}"
-            raise MachineLostError(f"a container ended before it was ready: {ended}", by_agent=False)
-        if time.monotonic() - began > check.start_period_s:
-            failures += 1
-        if failures >= max(check.retries, 1):
-            said = " ".join((bytes(output.head) + output.tail).decode("utf-8", "replace").split())[-300:]
-            raise MachineLostError(
-                f"a container was not ready after {failures} tries of {words!r}: "
-                f"{'it took too long' if code is None else f'exit code {code}'} {said}",
-                by_agent=False,
-            )
-        time.sleep(max(check.interval_s, 0.05))
+def _tried(client: Client, name: str, what: str, check: Healthcheck) -> Completed:
+    """Run a healthcheck once in a container that has to run for it."""
+    output = KeptOutput(2000)
+    with contextlib.closing(Program(client, name, check.command)) as program:
+        code = follow(program, output, check.timeout_s)
+    state = {"Running": True} if code == 0 else client.inspect_container(name)["State"]
+    if not state.get("Running"):
+        ended = f"{what} ended with exit code {state.get('ExitCode')}"
+        raise MachineLostError(f"a container ended before it was ready: {ended}", by_agent=False)
+    return Completed(code, bytes(output.head) + output.tail)
 
 
 def config(container: Container, image: str, share: Resources, processes: int, *, is_service: bool) -> dict[str, Any]:
