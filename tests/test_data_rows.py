@@ -202,6 +202,7 @@ def test_filter_or_map_that_fails_names_the_row(lines: Path) -> None:
         ("a.json", b"[1]", "a.json, row 0: a row must be an object"),
         ("a.csv", b'a,b\n"1,2\n', "a.csv, line 2: unexpected end of data"),
         ("a.csv", b"a,b\n1,2\n1,2,3\n", "a.csv, line 3: it has more values"),
+        ("a.csv", b"a,b,a\n1,2,3\n", "a.csv, line 1: two columns have one name"),
         ("a.csv", b"a,b\n\xff,2\n", "can't decode byte 0xff"),
         ("a.parquet", b"garbage", "a.parquet' cannot be loaded"),
         ("a.xlsx", b"", "known are: .jsonl, .ndjson, .json, .csv, .tsv, .parquet"),

@@ -15,6 +15,7 @@ import gem_core as gem
 import gem_core.gymnasium_envs
 from gem_core.errors import ArgumentError
 from gem_core.gymnasium_envs import gymnasium_id
+from gem_core.making.again import Recipe
 
 COUNTDOWN = "GEM/toy.Countdown-v0"
 
@@ -62,11 +63,12 @@ def test_arguments_wrappers_and_limits_pass_through() -> None:
 
 
 def test_the_spec_is_gymnasiums_and_makes_the_same_again() -> None:
-    """Also as JSON."""
+    """Also as JSON, and by its recipe."""
     env: Any = gymnasium.make(COUNTDOWN, longest=9)
     assert env.spec.id == COUNTDOWN
-    again = gymnasium.make(type(env.spec).from_json(env.spec.to_json()))
-    assert again.reset(seed=5) == env.reset(seed=5)
+    for again in gymnasium.make(type(env.spec).from_json(env.spec.to_json())), Recipe.of(env).make():
+        assert again.spec == env.spec
+        assert again.reset(seed=5) == env.reset(seed=5)
     assert gymnasium.spec(COUNTDOWN).nondeterministic is False
 
 

@@ -100,6 +100,9 @@ def _csv_rows(file: IO[bytes], path: Path) -> Rows:
         reader = csv.DictReader(text, restval="", delimiter="\t" if ending(path) == ".tsv" else ",", strict=True)
         rows: list[dict[str | Any, Any]] = []
         try:
+            names = [name for name in reader.fieldnames or () if name]
+            if len(set(names)) < len(names):
+                raise csv.Error("two columns have one name")
             for row in reader:
                 if any(row.pop(None, [])):
                     raise csv.Error("it has more values than there are columns")

@@ -86,5 +86,6 @@ class Recipe:
         task = env.unwrapped
         if task.spec is None and self.spec is not None:
             task.spec = dataclasses.replace(self.spec, kwargs={**self.spec.kwargs, **overrides})
-            task.render_mode = self.render_mode
+            if task.render_mode != self.render_mode:
+                task.render_mode = self.render_mode
         return env
