@@ -7,13 +7,12 @@ Its globals are those of a process: there is one loop, and what was started on i
 from __future__ import annotations
 
 import asyncio
-import concurrent.futures
 import contextvars
-import functools
 import queue
 import threading
 import weakref
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from concurrent.futures import Future
 from contextlib import suppress
 from typing import Any, TypeVar, cast
 
@@ -54,14 +53,15 @@ def run_sync(awaitable: Awaitable[T]) -> T:
         BridgeError: The caller is on that loop itself, where waiting would never end; ``await`` it instead.
     """
     loop = background_loop()
-    if _running_loop() is loop:
+    if asyncio._get_running_loop() is loop:
         if hasattr(awaitable, "close"):
             awaitable.close()
         raise BridgeError(
-            "a synchronous step was called on the library's own event loop, where it would wait for itself; "
-            "call 'await env.step_async(action)' there instead"
+            "plain code cannot wait on the library's own event loop, where it would wait for itself; use the "
+            "asynchronous form there, as in 'await env.step_async(action)'"
         )
-    future = asyncio.run_coroutine_threadsafe(_finish(awaitable), loop)
+    work = awaitable if asyncio.iscoroutine(awaitable) else _finish(awaitable)
+    future = asyncio.run_coroutine_threadsafe(work, loop)
     try:
         return future.result()
     except BaseException:
@@ -82,7 +82,7 @@ def run_without_loop(coroutine: Coroutine[Any, Any, T], otherwise: str = "plain 
         ArgumentError: It waits for something.
     """
     outer = getattr(_plain, "loop", None)
-    _plain.loop = _running_loop()
+    _plain.loop = asyncio._get_running_loop()
     try:
         coroutine.send(None)
     except StopIteration as finished:
@@ -95,7 +95,7 @@ def run_without_loop(coroutine: Coroutine[Any, Any, T], otherwise: str = "plain 
 
 def _in_plain_code() -> bool:
     """Tell whether the coroutine that calls is run by ``run_without_loop``."""
-    loop = _running_loop()
+    loop = asyncio._get_running_loop()
     return loop is None or loop is getattr(_plain, "loop", None)
 
 
@@ -104,27 +104,12 @@ def run_or_schedule(awaitable: Awaitable[object]) -> None:
 
     For cleaning up, which may be called anywhere: the garbage collector runs in any thread.
     """
-    if _running_loop() is background_loop():
+    if asyncio._get_running_loop() is background_loop():
         task = asyncio.ensure_future(awaitable)
         _scheduled.add(task)
         task.add_done_callback(_scheduled.discard)
     else:
         run_sync(awaitable)
-
-
-def wait_for_scheduled(timeout_s: float) -> None:
-    """Wait in plain code for tasks that ``run_or_schedule`` scheduled; on the loop itself, return at once.
-
-    Args:
-        timeout_s: Longest wait, in seconds; what takes longer goes on.
-    """
-
-    async def ended() -> None:
-        if _scheduled:
-            await asyncio.wait(set(_scheduled), timeout=timeout_s)
-
-    if _scheduled and not on_background_loop():
-        run_sync(ended())
 
 
 def close_later(resource: Any, loop: asyncio.AbstractEventLoop) -> None:
@@ -139,7 +124,7 @@ def close_later(resource: Any, loop: asyncio.AbstractEventLoop) -> None:
     if resource.closed or not loop.is_running():
         return
     closing = asyncio.run_coroutine_threadsafe(_finish(resource.close()), loop)
-    if _running_loop() is not loop:
+    if asyncio._get_running_loop() is not loop:
         try:
             closing.result(timeout=1.0)
         except (TimeoutError, OSError):
@@ -182,21 +167,20 @@ async def in_thread(function: Callable[..., T], *args: Any) -> T:
     """
     if _in_plain_code():
         return function(*args)
-    future: concurrent.futures.Future[T] = concurrent.futures.Future()
-    # A future that runs cannot be cancelled any more: the task that waits can, and the result is then dropped.
-    future.set_running_or_notify_cancel()
+    future: Future[T] = Future()
+    future.set_running_or_notify_cancel()  # it runs, even if nobody waits for its result any more
     context = contextvars.copy_context()
-
-    def work() -> None:
-        try:
-            result = context.run(_called, function, *args)
-        except BaseException as error:  # noqa: BLE001 - it is raised again in the task that waits
-            future.set_exception(error)
-        else:
-            future.set_result(result)
-
-    threading.Thread(target=work, name="gem-blocking", daemon=True).start()
+    work = (future, context.run, _called, function, *args)
+    threading.Thread(target=_settle, args=work, name="gem-blocking", daemon=True).start()
     return await asyncio.wrap_future(future)
+
+
+def _settle(future: Future[Any], function: Callable[..., Any], *args: Any) -> None:
+    """Call a function, and give a future its result or its error."""
+    try:
+        future.set_result(function(*args))
+    except BaseException as error:  # noqa: BLE001 - it is raised again where the future is waited for
+        future.set_exception(error)
 
 
 def _called(function: Callable[..., T], *args: Any) -> T:
@@ -232,10 +216,9 @@ class Door:
     """
 
     def __init__(self) -> None:
-        self._calls: queue.SimpleQueue[tuple[asyncio.Future[Any], Callable[..., Any], tuple[Any, ...]] | None] = (
+        self._calls: queue.SimpleQueue[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]] | None] = (
             queue.SimpleQueue()
         )
-
         self.interrupted = False
         """Whether plain code was interrupted while it waited; what is called to clean up then runs in other threads."""
 
@@ -243,9 +226,9 @@ class Door:
         """Call a function in the thread that waits in ``run``."""
         if self.interrupted:
             return await in_thread(function, *args)
-        future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
+        future: Future[T] = Future()
         self._calls.put((future, function, args))
-        return await future
+        return await asyncio.wrap_future(future)
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
         """Wait in plain code for a coroutine; an interrupt cancels it.
@@ -266,51 +249,30 @@ class Door:
             finally:
                 self._calls.put(None)
 
-        future = asyncio.run_coroutine_threadsafe(until_the_end(), background_loop())
+        outcome = asyncio.run_coroutine_threadsafe(until_the_end(), background_loop())
         try:
-            self._serve()
+            while (call := self._calls.get()) is not None:
+                future, function, args = call
+                if future.set_running_or_notify_cancel():
+                    try:
+                        future.set_result(_called(function, *args))
+                    except Exception as error:  # noqa: BLE001 - it is raised again in the coroutine that waits
+                        future.set_exception(error)
         except BaseException:
             self.interrupted = True
-            future.cancel()
+            outcome.cancel()
             with suppress(queue.Empty):
                 while (call := self._calls.get(timeout=_CANCELLING_S)) is not None:
-                    background_loop().call_soon_threadsafe(call[0].cancel)
+                    call[0].cancel()
             raise
-        return future.result()
-
-    def _serve(self) -> None:
-        outcomes: list[tuple[asyncio.Future[Any], Any, Exception | None]] = []
-        call = self._calls.get()
-        while call is not None:
-            future, function, args = call
-            if self.interrupted:
-                background_loop().call_soon_threadsafe(future.cancel)
-            elif not future.cancelled():
-                try:
-                    outcomes.append((future, _called(function, *args), None))
-                except Exception as error:  # noqa: BLE001 - it is raised again in the coroutine that waits
-                    outcomes.append((future, None, error))
-            if self._calls.empty():  # the loop is woken once for all that were waiting
-                background_loop().call_soon_threadsafe(_tell, outcomes)
-                outcomes = []
-            call = self._calls.get()
-        background_loop().call_soon_threadsafe(_tell, outcomes)
-
-
-def _tell(outcomes: list[tuple[asyncio.Future[Any], Any, Exception | None]]) -> None:
-    for future, result, error in outcomes:
-        if future.cancelled():
-            continue
-        if error is None:
-            future.set_result(result)
-        else:
-            future.set_exception(error)
+        return outcome.result()
 
 
 class DaemonPool:
     """A pool of daemon threads, as many as are needed at once, which do not delay the exit of the interpreter.
 
     The threads of ``concurrent.futures`` are joined at exit, so that one hung job would keep the interpreter alive.
+    They end when the pool is closed, or collected by the garbage collector.
 
     Args:
         name: Name of the threads.
@@ -318,52 +280,35 @@ class DaemonPool:
     """
 
     def __init__(self, name: str, most: int = 1024) -> None:
-        self._name, self._most = name, most
-        self._pool_lock = threading.Lock()
-        self._open_queue()
+        self._name, self._most, self._threads = name, most, 0
+        self._lock = threading.Lock()
+        self._idle = threading.Semaphore(0)
+        self._jobs: _Jobs = queue.SimpleQueue()
+        self.close = weakref.finalize(self, self._jobs.put, None)
+        self.close.atexit = False
 
-    def _open_queue(self) -> None:
-        self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
-        self._threads = self._open = 0
-        # Idle threads hold only the queue, so that an unused pool is collected, which ends them.
-        self._finalizer = weakref.finalize(self, _end_threads, self._work, self._most)
-        self._finalizer.atexit = False
-
-    def submit(self, work: Callable[[], object]) -> None:
-        """Run a function in a thread; it must handle its own errors."""
-        with self._pool_lock:
-            self._open += 1
-            if self._open > self._threads < self._most:
+    def submit(self, function: Callable[..., T], *args: Any) -> Future[T]:
+        """Call a function in a thread; it can be cancelled until then."""
+        future: Future[T] = Future()
+        self._jobs.put((future, function, args))
+        with self._lock:
+            if not self._idle.acquire(blocking=False) and self._threads < self._most:
                 self._threads += 1
-                threading.Thread(target=_work_off, args=(self._work,), name=self._name, daemon=True).start()
-        self._work.put(functools.partial(self._do, work))
-
-    def close(self) -> None:
-        """End the threads when they are idle; the pool can be used again."""
-        with self._pool_lock:
-            if self._threads:
-                self._finalizer()
-                self._open_queue()
-
-    def _do(self, work: Callable[[], object]) -> None:
-        queue_of_work = self._work
-        try:
-            work()
-        finally:
-            with self._pool_lock:
-                if self._work is queue_of_work:
-                    self._open -= 1
+                work = self._jobs, self._idle
+                threading.Thread(target=_work_off, args=work, name=self._name, daemon=True).start()
+        return future
 
 
-def _work_off(work: queue.SimpleQueue[Callable[[], object] | None]) -> None:
-    while (job := work.get()) is not None:
-        job()
+_Jobs = queue.SimpleQueue[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]] | None]
+
+
+def _work_off(jobs: _Jobs, idle: threading.Semaphore) -> None:
+    while (job := jobs.get()) is not None:
+        if job[0].set_running_or_notify_cancel():
+            _settle(job[0], job[1], *job[2])
         del job  # an idle thread must not keep its last job alive
-
-
-def _end_threads(work: queue.SimpleQueue[Callable[[], object] | None], count: int) -> None:
-    for _ in range(count):
-        work.put(None)
+        idle.release()
+    jobs.put(None)  # for the next thread
 
 
 def _serve(loop: asyncio.AbstractEventLoop) -> None:
@@ -380,14 +325,7 @@ def _serve(loop: asyncio.AbstractEventLoop) -> None:
 
 def on_background_loop() -> bool:
     """Tell whether the caller runs on the library's own event loop."""
-    return _loop is not None and _running_loop() is _loop
-
-
-def _running_loop() -> asyncio.AbstractEventLoop | None:
-    try:
-        return asyncio.get_running_loop()
-    except RuntimeError:
-        return None
+    return _loop is not None and asyncio._get_running_loop() is _loop
 
 
 async def _finish(awaitable: Awaitable[T]) -> T:

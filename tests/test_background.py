@@ -59,12 +59,8 @@ def test_run_sync_on_the_library_loop_is_refused() -> None:
     async def main() -> None:
         run_sync(where())
 
-    with pytest.raises(BridgeError) as caught:
+    with pytest.raises(BridgeError, match="step_async"):
         run_sync(main())
-    assert str(caught.value) == (
-        "a synchronous step was called on the library's own event loop, where it would wait for itself; "
-        "call 'await env.step_async(action)' there instead"
-    )
 
 
 def test_run_without_loop_does_in_place_what_coroutines_would_wait_for() -> None:

@@ -24,13 +24,12 @@ from gem_core.errors import (
     GemError,
     RequestError,
 )
-from gem_core.failures import author_frames, failure_info
+from gem_core.failures import Failure, author_frames, failure_info
 from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.rollouts.seat import RunningSeat, SharedEpisode, common_fields, new_episode
 from gem_core.rollouts.seating import ALONE, Seating
 from gem_core.types import TERMINAL_STATE, Info, Observation, Response
-from gem_core.vector.failures import Failure
 from gem_core.vector.joint import lost_step
 from gem_core.vector.slot import ALL_IN_PLACE, Slot
 from gem_core.vector.vector_env import VectorEnv

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping, Sequence, Sized
-from typing import Any, NamedTuple, SupportsIndex
+from collections.abc import Iterable, Mapping, Sequence, Sized
+from typing import Any, NamedTuple, SupportsIndex, cast
 
 import numpy as np
 import numpy.typing as npt
 
+from gem_core.env.checks import check_actions
 from gem_core.errors import ArgumentError
 from gem_core.types import Action, Info, Observation
 
@@ -54,23 +55,20 @@ class Received(NamedTuple):
     infos: list[Info]
 
 
-def indices_and_actions(actions: Actions, num_envs: int) -> list[tuple[int, Action]]:
-    """Return the slots to step, each with its action, in the order given.
+def paired(actions: Actions, num_envs: int) -> Iterable[tuple[int, Action]]:
+    """Return the numbers of the slots to step, each with its action, in the order given.
 
     Raises:
-        ArgumentError: The number of actions differs from the number of slots, or an action is not a string, or a slot
-            does not exist.
+        ArgumentError: The number of actions differs from the number of slots, or a slot does not exist.
     """
     if isinstance(actions, Mapping):
-        return [(checked_slot(slot, num_envs), _checked_action(slot, action)) for slot, action in actions.items()]
+        return [(checked_slot(slot, num_envs), action) for slot, action in actions.items()]
     if isinstance(actions, str) or not hasattr(actions, "__len__") or len(actions) != num_envs:
-        raise ArgumentError(
-            f"{_describe_actions(actions)} for {num_envs} slots; give one for each, or a mapping of slot to action"
-        )
-    for slot, action in enumerate(actions):
-        if not isinstance(action, str | Mapping):
-            _checked_action(slot, action)
-    return list(enumerate(actions))
+        given = "one string" if isinstance(actions, str) else f"a {type(actions).__name__}"
+        if isinstance(actions, Sized) and not isinstance(actions, str):
+            given = f"{len(actions)} actions"
+        raise ArgumentError(f"{given} for {num_envs} slots; give one for each, or a mapping of slot to action")
+    return enumerate(actions)
 
 
 def masked_slots(mask: Any, num_envs: int) -> list[int]:
@@ -100,13 +98,15 @@ def checked_slot(slot: SupportsIndex, num_envs: int) -> int:
     return index
 
 
-def _describe_actions(actions: object) -> str:
-    if isinstance(actions, str):
-        return "one string"
-    return f"{len(actions)} actions" if isinstance(actions, Sized) else f"a {type(actions).__name__}"
+def check_action(slot: int, action: object, observation: object) -> None:
+    """Refuse an action that does not fit the last observation of a slot.
 
-
-def _checked_action(slot: SupportsIndex, action: Action) -> Action:
-    if isinstance(action, str | Mapping):
-        return action
-    raise ArgumentError(f"an action is a str or a Response, and that for slot {slot} is a {type(action).__name__}")
+    Raises:
+        ArgumentError: It is no text. Or one action is given and several agents act, or the other way round; or an
+            action is missing, or unwanted.
+    """
+    if isinstance(observation, dict):
+        check_actions(observation, cast("Mapping[str, str]", action), f" in slot {slot}")
+    elif not isinstance(action, str):
+        kind = type(action).__name__
+        raise ArgumentError(f"one agent acts in slot {slot}: its action is a str or a Response, not a {kind}")

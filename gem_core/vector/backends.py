@@ -6,6 +6,7 @@ Each backend takes a ``VectorSetup`` and, by keyword, its own options; plugins a
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 from gem_core.arguments import parse_choice
@@ -13,7 +14,6 @@ from gem_core.errors import ArgumentError
 from gem_core.registry.choices import parsed_choices
 from gem_core.registry.entry_points import construct
 from gem_core.registry.lookup import registry
-from gem_core.types import Concurrency
 from gem_core.vector.process import process_pool
 from gem_core.vector.setup import IdOrIds, VectorSetup
 from gem_core.vector.slot import ALL_IN_PLACE
@@ -76,27 +76,17 @@ def processes(setup: VectorSetup, *, workers: int | None = None, worker_memory_b
 
 
 def auto(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes: int | None = None) -> VectorEnv:
-    """Choose the backend of each environment by its ``concurrency``.
+    """Choose the place of each environment by its ``concurrency``.
 
     Environments with ``"process"``, and with a ``step_timeout`` those with ``"inline"``, go to worker processes; all
     others stay in this process, as with ``async``.
     """
-    in_workers = {env_id: _needs_worker(setup, setup.concurrency(env_id)) for env_id in setup.all_ids}
-    if not any(in_workers.values()):
+    far = ("process",) if setup.step_timeout is None else ("process", "inline")
+    in_pool = functools.cache(lambda env_id: setup.concurrency(env_id) in far)
+    if not any(map(in_pool, setup.all_ids)):
         return VectorEnv(setup, in_place=_in_place(setup))
     pool = process_pool(setup, workers=workers, worker_memory_bytes=worker_memory_bytes)
-
-    def in_pool(env_id: str | None) -> bool:
-        if env_id not in in_workers:
-            # Only the plan names this id: decide by the class of the environment, without making one.
-            return _needs_worker(setup, setup.task_concurrency(env_id))
-        return in_workers[env_id]
-
     return VectorEnv(setup, in_place=_in_place(setup), pool=pool, in_pool=in_pool)
-
-
-def _needs_worker(setup: VectorSetup, concurrency: Concurrency | None) -> bool:
-    return concurrency == "process" or (concurrency == "inline" and setup.step_timeout is not None)
 
 
 def _in_place(setup: VectorSetup) -> tuple[str, ...]:

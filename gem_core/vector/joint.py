@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
-from gem_core.env.checks import check_actions
 from gem_core.env.multi_agent import JointResetResult, JointStepResult, MultiAgentEnv
-from gem_core.errors import ArgumentError
 from gem_core.types import TERMINAL_STATE, ResetResult, StepResult
 
 
@@ -50,16 +48,3 @@ def lost_step(error: Mapping[str, Any], *, joint: bool) -> StepResult:
         return TERMINAL_STATE, 0.0, False, True, {"error": error}
     info = {"agents": {}, "terminations": {}, "truncations": {}, "error": error}
     return cast("StepResult", ({}, {}, False, True, info))
-
-
-def check_joint_action(slot: int, action: object, observation: object) -> None:
-    """Refuse an action that does not fit the last observation of a slot.
-
-    Raises:
-        ArgumentError: One action is given and several agents act, or the other way round; or an action is missing,
-            unwanted, or no text.
-    """
-    if isinstance(observation, dict):
-        check_actions(observation, cast("Mapping[str, str]", action), f" in slot {slot}")
-    elif isinstance(action, Mapping):
-        raise ArgumentError(f"one agent acts in slot {slot}: its action is a str or a Response, not {action!r:.100}")

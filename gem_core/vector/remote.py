@@ -13,6 +13,7 @@ import pickle
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, cast
 
@@ -21,10 +22,10 @@ import cloudpickle  # type: ignore[import-untyped]  # it has no types
 from gem_core.closing import CLOSING_S
 from gem_core.env.base import Env
 from gem_core.errors import ArgumentError, GemError
+from gem_core.failures import Failure, WorkerFailureError, shown_error
 from gem_core.making.layers import wrapper_targets
 from gem_core.registry.lookup import registry
 from gem_core.types import ResetResult, StepResult
-from gem_core.vector.failures import Failure, WorkerFailureError
 from gem_core.vector.setup import VectorSetup
 
 logger = logging.getLogger("gem_core")
@@ -93,23 +94,16 @@ class WorkerPool:
         return RemoteEnv(self, slot, env_id, kwargs)
 
     def request(
-        self,
-        slot: int,
-        number: int,
-        method: str,
-        *args: Any,
-        on: Worker | None = None,
-        timeout_s: float | None = None,
+        self, slot: int, on: Worker | None, timeout_s: float | None, method: str, *args: Any
     ) -> tuple[Any, Worker]:
         """Call a method of ``WorkerLoop`` in the worker of a slot.
 
         Args:
             slot: Number of the slot.
-            number: Of the environment; a slot's former one may still be closing when the next is made.
-            method: Name of the method.
-            *args: Its arguments.
             on: The worker in which the slot's episode began; None takes the present worker, or starts one.
             timeout_s: Seconds that it may take, from when the worker turns to it.
+            method: Name of the method.
+            *args: Its arguments.
 
         Returns:
             What the method returned, and the worker.
@@ -117,7 +111,10 @@ class WorkerPool:
         Raises:
             WorkerFailureError: The method failed, or the worker did.
         """
-        data = _packed_request(number, method, args)
+        try:
+            data = pickle.dumps((method, args), protocol=5)
+        except Exception:  # noqa: BLE001 - an object's own pickling may raise anything
+            data = _pack_request(method, args)
         while True:
             place = self._places[slot % len(self._places)]
             with place.lock:
@@ -129,20 +126,19 @@ class WorkerPool:
                 try:
                     reply = worker.request(data, timeout_s)
                     break
-                except (TimeoutError, WorkerDiedError) as error:
+                except BaseException as error:
+                    # Also if it was interrupted: its reply would be taken for that of the next request.
                     worker.kill()
                     place.worker = None
-                    failure = Failure("died", f"its worker process {error}")
-                    if isinstance(error, TimeoutError):
-                        told = f"a step or reset took longer than step_timeout, {timeout_s:g} s"
-                        failure = Failure("timeout", told)
-                    raise WorkerFailureError(failure) from None
-                except BaseException:
-                    # Interrupted: its reply would be taken for that of the next request.
-                    worker.kill()
-                    place.worker = None
+                    if timeout_s is not None and isinstance(error, TimeoutError):
+                        raise WorkerFailureError(Failure.timeout(timeout_s)) from None
+                    if isinstance(error, WorkerDiedError):
+                        raise WorkerFailureError(Failure("died", f"its worker process {error}")) from None
                     raise
-        value = _unpack(reply)
+        try:
+            value = pickle.loads(reply)
+        except Exception as error:  # noqa: BLE001 - an object's own unpickling may raise anything
+            value = Failure("exception", f"its result cannot be read in another process: {shown_error(error)}")
         if isinstance(value, Failure):
             raise WorkerFailureError(value)
         return value, worker
@@ -191,8 +187,8 @@ class WorkerPool:
                 return
             if place.lock.acquire(timeout=1.0):
                 try:
-                    reply = place.worker.request(_packed_request(-1, "close_all", ()), CLOSING_S + 1.0)
-                    left.append(_unpack(reply))
+                    reply = place.worker.request(pickle.dumps(("close", ())), CLOSING_S + 1.0)
+                    left.append(pickle.loads(reply))
                 except (TimeoutError, WorkerDiedError):
                     left.append(1)
                 finally:
@@ -235,38 +231,40 @@ class RemoteEnv(Env):
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin an episode; the worker makes the environment unless it has it."""
-        asked = not self.described
-        value, self._worker = self._request("reset", *self._made_for, self._record(), seed, options, asked)
+        limit, describe = self._pool.setup.step_timeout, not self.described
+        made_for = *self._made_for, self._record()
+        value, self._worker = self._request(None, limit, "reset", *made_for, seed, options, describe)
         result, described = value
         self.described = described or self.described
         return cast("ResetResult", result)
 
     def step(self, action: Any) -> StepResult:
         """Step the environment."""
-        return cast("StepResult", self._request("step", action, on=self._worker)[0])
+        pool = self._pool
+        worker, limit = self._worker, pool.setup.step_timeout
+        result, _ = pool.request(self._slot, worker, limit, "step", self._number, action)
+        return cast("StepResult", result)
 
     def apply(self, function: Callable[..., Any], *args: Any) -> Any:
         """Return ``function(env, *args)``, called in the worker; the environment is made there if need be."""
-        value, worker = self._request("apply", *self._made_for, self._record(), function, args, on=self._worker)
+        made_for = *self._made_for, self._record()
+        value, worker = self._request(self._worker, None, "apply", *made_for, function, args)
         self._worker = self._worker or worker
         return value
 
     def draw_action(self, seed: int | None, agent: str | None) -> str:
         """Return a valid action; see ``EnvRunner.sample_random_action``."""
-        return cast("str", self._request("sample_random_action", seed, agent, on=self._worker)[0])
+        return cast("str", self._request(self._worker, None, "sample_random_action", seed, agent)[0])
 
     def close(self) -> None:
         """Close the environment, if its worker lives."""
         worker, self._worker = self._worker, None
         if worker is not None:
-            try:
-                self._pool.request(self._slot, self._number, "close", on=worker)
-            except WorkerFailureError:
-                return  # it has ended with its worker
+            with suppress(WorkerFailureError):  # it has ended with its worker
+                self._request(worker, None, "close_env")
 
-    def _request(self, method: str, *args: Any, on: Worker | None = None) -> tuple[Any, Worker]:
-        limit = self._pool.setup.step_timeout if method in ("reset", "step") else None
-        return self._pool.request(self._slot, self._number, method, *args, on=on, timeout_s=limit)
+    def _request(self, on: Worker | None, timeout_s: float | None, method: str, *args: Any) -> tuple[Any, Worker]:
+        return self._pool.request(self._slot, on, timeout_s, method, self._number, *args)
 
     def _record(self) -> bytes | None:
         """Return the record of an id that the setup does not have, as one that a script registered."""
@@ -277,29 +275,15 @@ class RemoteEnv(Env):
         return pack_by_value(record, [record.entry_point])
 
 
-def _packed_request(number: int, method: str, args: tuple[Any, ...]) -> bytes:
+def _pack_request(method: str, args: tuple[Any, ...]) -> bytes:
+    """Pickle a request with lambdas, or classes that are defined in a script."""
     try:
-        content = pickle.dumps(args, protocol=5)
-    except Exception:  # noqa: BLE001 - an object's own pickling may raise anything
-        try:
-            content = bytes(cloudpickle.dumps(args))  # lambdas, and classes defined in a script
-        except Exception as error:
-            what = "its action" if method == "step" else "what it is made from"
-            told = ArgumentError(f"{what} cannot be sent to another process:{why(error)}")
-            raise WorkerFailureError(Failure("exception", str(told), told, permanent=method != "step")) from error
-    return pickle.dumps((number, method, content), protocol=5)
-
-
-def _unpack(reply: bytes) -> Any:
-    try:
-        return pickle.loads(reply)
-    except Exception as error:  # noqa: BLE001 - as above
-        return Failure("exception", f"its result cannot be read in another process:{why(error)}")
-
-
-def why(error: Exception) -> str:
-    """Return the kind and the text of an error of pickling."""
-    return Failure.of(error, "").message.removeprefix(" raised")
+        return cast("bytes", cloudpickle.dumps((method, args)))
+    except Exception as error:
+        stepping = method == "step"
+        what = "its action" if stepping else "what it is made from"
+        told = ArgumentError(f"{what} cannot be sent to another process: {shown_error(error)}")
+        raise WorkerFailureError(Failure("exception", str(told), told, permanent=not stepping)) from error
 
 
 def pack_by_value(thing: object, targets: list[Any]) -> bytes:

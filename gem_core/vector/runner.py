@@ -6,7 +6,7 @@ import asyncio
 import logging
 import os
 import threading
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from functools import partial
 from typing import Any, cast
 
@@ -18,10 +18,10 @@ from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.seeding import checked_seed, stable_hash
 from gem_core.env.wrapper import AnyEnv, concurrency_of, reset_async, step_async
 from gem_core.errors import ArgumentError
+from gem_core.failures import Failure, WorkerFailureError
 from gem_core.making.environment import MadeSpec
 from gem_core.records.episode import return_range_of
 from gem_core.types import Action, Concurrency, ResetResult, StepResult
-from gem_core.vector.failures import Failure, WorkerFailureError
 from gem_core.vector.joint import joint_reset, joint_step
 from gem_core.vector.remote import RemoteEnv
 
@@ -39,20 +39,20 @@ class EnvRunner:
     Args:
         make: Makes the environment.
         borrowed: An environment that the caller owns and closes.
+        in_place: Values of ``concurrency`` that run in the caller's thread.
     """
 
-    def __init__(self, make: MakeEnv, borrowed: AnyEnv | None = None) -> None:
+    def __init__(self, make: MakeEnv, borrowed: AnyEnv | None = None, in_place: Collection[str] = ()) -> None:
         self.env: AnyEnv | None = None
         self.concurrency: Concurrency | None = None
         """Concurrency of the environment with its wrappers; None while there is no environment."""
-        self.borrowed = borrowed
-        self.abandoned = False
-        """Whether the caller has stopped waiting for it."""
-        self._make = make
+        self.in_place = False
+        """Whether the environment runs in the caller's thread."""
+        self._make, self._borrowed, self._in_place = make, borrowed, in_place
         self._made_for: tuple[str | None, Mapping[str, Any]] | None = None
         self._made_in = os.getpid()
-        self._check_reset: Callable[[Any], ResetResult] = checked_reset
-        self._check_step: Callable[[Any], StepResult] = checked_result
+        self._check_reset: Callable[[Any], ResetResult] | None = None
+        self._check_step: Callable[[Any], StepResult] | None = None
         self._sampled = False
         self._draws: dict[str, int] = {}
 
@@ -74,7 +74,8 @@ class EnvRunner:
         if isinstance(env, MultiAgentEnv):
             self._check_reset, self._check_step = partial(joint_reset, env), joint_step
         elif isinstance(env, RemoteEnv) or type(env) is Guard:  # its worker has checked the results, or the guard has
-            self._check_reset = self._check_step = _as_it_is
+            self._check_reset = self._check_step = None
+        self.in_place = self.concurrency in self._in_place and not isinstance(env, RemoteEnv)
         self.env, self._made_for, self._made_in = env, (env_id, kwargs), os.getpid()
         return None
 
@@ -83,7 +84,8 @@ class EnvRunner:
         self._sampled, self._draws = False, {}
         env: Any = self.env
         try:
-            return self._check_reset(env.reset(seed=seed, options=options) if options else env.reset(seed=seed))
+            result = env.reset(seed=seed, options=options) if options else env.reset(seed=seed)
+            return cast("ResetResult", result if self._check_reset is None else self._check_reset(result))
         except BaseException as error:  # noqa: BLE001 - see _failed
             return self._failed(error, "reset")
 
@@ -91,7 +93,8 @@ class EnvRunner:
         """Step the environment."""
         env: Any = self.env
         try:
-            return self._check_step(env.step(action))
+            result = env.step(action)
+            return cast("StepResult", result if self._check_step is None else self._check_step(result))
         except BaseException as error:  # noqa: BLE001 - see _failed
             return self._failed(error, "step")
 
@@ -106,9 +109,10 @@ class EnvRunner:
         work = step_async(cast("AnyEnv", self.env), cast("str", action))
         return cast("StepResult | Failure", await self._awaited(work, self._check_step, "step"))
 
-    async def _awaited(self, coroutine: Awaitable[Any], check: Callable[[Any], Any], where: str) -> Any:
+    async def _awaited(self, coroutine: Awaitable[Any], check: Callable[[Any], Any] | None, where: str) -> Any:
         try:
-            return check(await coroutine)
+            result = await coroutine
+            return result if check is None else check(result)
         except GeneratorExit:
             raise  # this coroutine is collected
         except BaseException as error:
@@ -182,8 +186,8 @@ class EnvRunner:
 
     def forget(self) -> list[AnyEnv]:
         """Forget the environment; return it, unless there is none or the caller owns it."""
-        env, self.env, self._made_for, self.concurrency = self.env, None, None, None
-        return [] if env is None or env is self.borrowed else [env]
+        env, self.env, self._made_for, self.concurrency, self.in_place = self.env, None, None, None, False
+        return [] if env is None or env is self._borrowed else [env]
 
 
 def _equal(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
@@ -191,7 +195,3 @@ def _equal(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
         return first is second or first == second
     except ValueError:  # the truth value of an array is ambiguous
         return False
-
-
-def _as_it_is(result: Any) -> Any:
-    return result

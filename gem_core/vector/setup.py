@@ -125,35 +125,32 @@ class VectorSetup:
         return self.records.get(env_id or "") or registry().env(env_id or "")
 
     def task_concurrency(self, env_id: str | None) -> Concurrency | None:
-        """Return the concurrency of a task's class, without wrappers; None if the class does not declare one."""
+        """Return the concurrency that a task's class declares, without wrappers; None if it does not."""
         if self.factory is not None:
             return None
         task = load_entry_point(self.record(env_id).entry_point, f"environment {env_id!r}")
-        concurrency = getattr(task, "concurrency", None)  # a class, or any other callable
-        return cast("Concurrency", concurrency) if isinstance(concurrency, str) else None
+        declared = getattr(task, "concurrency", None)  # a function has none
+        return cast("Concurrency", declared) if isinstance(declared, str) else None
 
-    def concurrency(self, env_id: str) -> Concurrency:
+    def concurrency(self, env_id: str | None) -> Concurrency | None:
         """Return the concurrency of an environment with its wrappers, as far as it decides the environment's process.
 
         If the classes do not declare it, an environment is made with the arguments that come with its id, and closed.
         """
-        by_class, stacks = self.task_concurrency(env_id), self._stacks(env_id)
+        by_class = self.task_concurrency(env_id)
+        entries = [kwargs for each, kwargs in self.entries if each == env_id]
+        stacks = [self.wrappers, *(_split({**self.kwargs, **kwargs})[1] for kwargs in entries)]
         if by_class == "process" or any(map(_needs_process, stacks)):
             return "process"
         # Wrappers may need a thread, which matters only for an inline task with a step_timeout.
         decided = by_class != "inline" or not any(stacks) or self.step_timeout is None
-        if by_class is not None and decided:
+        if not entries or (by_class is not None and decided):
             return by_class
-        env = self.make(env_id, next(kwargs for each, kwargs in self.entries if each == env_id))
+        env = self.make(env_id, entries[0])
         try:
             return concurrency_of(env)
         finally:
             env.close()
-
-    def _stacks(self, env_id: str) -> list[Wrappers]:
-        """Return the wrappers of all environments, and the wrappers of the entries of one id."""
-        own = [_split({**self.kwargs, **kwargs})[1] for each, kwargs in self.entries if each == env_id]
-        return [stack for stack in [self.wrappers, *own] if stack != ()]
 
 
 def _needs_process(wrappers: Wrappers) -> bool:

@@ -3,30 +3,30 @@
 from __future__ import annotations
 
 import asyncio
-import concurrent.futures
-import threading
-from collections.abc import Callable, Collection, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar, cast, get_args
+from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
 
 from gem_core.background import DaemonPool, in_thread, on_library_loop, within
 from gem_core.docs import page_url
 from gem_core.env.wrapper import AnyEnv
-from gem_core.errors import (
-    BridgeError,
-    ClosedError,
-    EnvFaultError,
-    FaultBudgetError,
-    NotSupportedError,
-)
+from gem_core.errors import BridgeError, ClosedError, EnvFaultError, FaultBudgetError, NotSupportedError
+from gem_core.failures import Failure, WorkerFailureError
 from gem_core.records.plans import EpisodeStart
-from gem_core.types import Action, Concurrency, ResetResult, StepResult
-from gem_core.vector.failures import Failure, WorkerFailureError
+from gem_core.types import TERMINAL_STATE, Action, Concurrency, Info, Observation, ResetResult, StepResult
+from gem_core.vector.joint import lost_step
 from gem_core.vector.remote import RemoteEnv
 from gem_core.vector.runner import EnvRunner
 from gem_core.vector.setup import Autoreset, OnError
 
+if TYPE_CHECKING:
+    import concurrent.futures
+
 T = TypeVar("T")
+
+NEW, LIVE, ENDED, IDLE, BROKEN = "new", "live", "ended", "idle", "broken"
+"""Phases of a slot: before the first episode; in an episode; after one, before the next begins; without an episode,
+since the plan is exhausted; without an environment, since an error was raised."""
 
 MOST_ABANDONED = 64
 """Number of hanging threads at which a run is stopped."""
@@ -98,17 +98,17 @@ class VectorConfig:
     autoreset: Autoreset = "same_step"
     on_error: OnError = "truncate"
     step_timeout: float | None = None
-    pool: DaemonPool = field(default_factory=lambda: DaemonPool("gem-env"))
-    lock: threading.Lock = field(default_factory=threading.Lock)
-    busy: set[EnvRunner] = field(default_factory=set)
-    """Runners that a thread is in; the lock protects who closes an abandoned one."""
+    threads: DaemonPool = field(default_factory=lambda: DaemonPool("gem-env"))
+    hanging: set[concurrent.futures.Future[Any]] = field(default_factory=set)
+    """Calls of abandoned environments that have not come back from their threads."""
 
 
 class Slot:
-    """Holds one environment at a time; ``reset`` makes it, and makes another when it has failed.
+    """Holds one environment at a time, and the state of its episode.
 
-    An exception of the environment, or a step that takes too long, comes back as a ``Failure``. The coroutines run on
-    any event loop. If ``in_place`` is true, they never wait, so that plain code finishes them at once.
+    ``prepare`` makes the environment that an episode needs, and another when it has failed. An exception of the
+    environment, or a step that takes too long, comes back as a ``Failure``. The coroutines run on any event loop. If
+    ``in_place`` is true, they never wait, so that plain code finishes them at once.
 
     Args:
         index: Number of the slot.
@@ -127,19 +127,30 @@ class Slot:
         borrowed: AnyEnv | None = None,
     ) -> None:
         self.index, self.env_id, self.kwargs, self.config, self.borrowed = index, env_id, kwargs, config, borrowed
+        self.runner = self._new_runner()
+        self._call: concurrent.futures.Future[Any] | None = None
+        """The last call of the environment in a thread."""
         self.start: EpisodeStart | None = None
         """The start of the present episode."""
         self.is_joint = False
         """Whether several agents act in the present episode."""
         self.cause: BaseException | None = None
         """The exception of the last fault, until that is counted."""
-        self.runner = self._new_runner()
+        # For ``VectorEnv``; a rollout keeps an episode's state in its record.
+        self.phase = NEW
+        self.busy = False
+        """Whether the environment is at work elsewhere."""
+        self.result: Any = None
+        """The five values of the last step or reset, or an exception."""
+        self._last_step: StepResult | None = None
+        """Of an episode that has ended, until the next has begun."""
+        self._failed_resets: list[dict[str, Any]] = []
+        """The resets that failed since then."""
 
     @property
     def in_place(self) -> bool:
         """Whether the present environment runs in the caller's thread."""
-        runner = self.runner
-        return runner.concurrency in self.config.in_place and not isinstance(runner.env, RemoteEnv)
+        return self.runner.in_place
 
     def name(self) -> str:
         """Return the name that errors use for this slot's environment."""
@@ -151,6 +162,8 @@ class Slot:
         kwargs = {**self.kwargs, **item.kwargs} if self.kwargs and item.id is None else item.kwargs
         return item.id or self.env_id, kwargs
 
+    # Running the environment.
+
     def fits(self, start: EpisodeStart) -> bool:
         """Tell whether the present environment is that of an episode."""
         return self.runner.has_env_for(*self.target(start))
@@ -161,28 +174,24 @@ class Slot:
 
     async def prepare(self, start: EpisodeStart) -> Failure | None:
         """Make the environment that an episode needs unless it is there; return the failure, if any."""
-        env_id, kwargs = self.target(start)
-        if self.config.is_quick(env_id):
-            return self.runner.make(env_id, kwargs)
-        if self.runner.has_env_for(env_id, kwargs):
-            return None
-        return await self._limited(self._make(env_id, kwargs))
+        if self.prepares_in_place(start):
+            return self.runner.make(*self.target(start))
+        return await self._elsewhere(self.runner.make, None, *self.target(start))
 
     async def reset(self, start: EpisodeStart, options: Mapping[str, Any] | None = None) -> ResetResult | Failure:
-        """Begin an episode, in a new environment if the present one was made for another id or other arguments.
+        """Begin an episode in the environment that ``prepare`` has made.
 
         Args:
             start: Start of the episode.
             options: For ``reset``; options of the plan's item override them.
         """
-        env_id, kwargs = self.target(start)
         self.start = start
-        item = start.item
+        item, runner = start.item, self.runner
         options = {**(options or {}), **(item.options or {})} if options or item.options else None
-        if self.in_place and self.runner.has_env_for(env_id, kwargs):
-            outcome = self.runner.reset(start.seed, options)
+        if runner.in_place:
+            outcome = runner.reset(start.seed, options)
         else:
-            outcome = await self._limited(self._reset(env_id, kwargs, start.seed, options))
+            outcome = await self._elsewhere(runner.reset, runner.reset_async, start.seed, options)
         if not isinstance(outcome, Failure):
             info = outcome[1]
             self.is_joint = "possible_agents" in info
@@ -193,9 +202,8 @@ class Slot:
 
     async def step(self, action: Action) -> StepResult | Failure:
         """Step the environment."""
-        if self.in_place:
-            return self.runner.step(action)
-        return await self._limited(self._step(action))
+        runner = self.runner
+        return runner.step(action) if runner.in_place else await self._elsewhere(runner.step, runner.step_async, action)
 
     def sample_random_action(self, agent: str | None = None) -> str:
         """Return a valid action for the present state; an empty one before the first reset.
@@ -204,23 +212,14 @@ class Slot:
             SamplingNotSupported: The environment cannot sample actions.
             EnvFaultError: The environment failed.
         """
-        seed = None if self.start is None else self.start.action_seed
         try:
-            return self.runner.sample_random_action(seed, agent)
-        except (NotSupportedError, BridgeError, ClosedError):
-            raise
-        except WorkerFailureError as error:
-            if isinstance(error.failure.error, NotSupportedError):
-                raise error.failure.error from None
-            raise EnvFaultError(f"{self.name()}: {error.failure.message}") from error
+            return self.runner.sample_random_action(None if self.start is None else self.start.action_seed, agent)
         except Exception as error:
-            what = error if isinstance(error, EnvFaultError) else Failure.of(error, "sample_random_action").message
-            raise EnvFaultError(f"{self.name()}: {what}") from error
-
-    def abandon_if_busy(self) -> None:
-        """Abandon the environment if a thread is in it."""
-        if self.runner in self.config.busy:
-            self._abandon(self.runner)
+            what = "sample_random_action"
+            failure = error.failure if isinstance(error, WorkerFailureError) else Failure.of(error, what)
+            if isinstance(failure.error, NotSupportedError | BridgeError | ClosedError):
+                raise failure.error from None
+            raise EnvFaultError(f"{self.name()}: {failure.message}") from error
 
     async def release(self) -> None:
         """Close the environment, which is no longer needed; the caller's own stays for the next run."""
@@ -231,79 +230,60 @@ class Slot:
         else:
             await in_thread(self.runner.close)
 
-    async def _make(self, env_id: str | None, kwargs: Mapping[str, Any]) -> Failure | None:
-        runner = self.runner
-        if self.config.is_quick(env_id):
-            return runner.make(env_id, kwargs)
-        return await self._in_thread(runner, runner.make, env_id, kwargs)
+    async def _elsewhere(
+        self, plain: Callable[..., T], coroutine: Callable[..., Awaitable[T]] | None, *args: Any
+    ) -> T | Failure:
+        """Call a method of the runner in a thread, or as a task if the environment is asynchronous.
 
-    async def _reset(
-        self, env_id: str | None, kwargs: Mapping[str, Any], seed: int, options: dict[str, Any] | None
-    ) -> ResetResult | Failure:
-        if not self.runner.has_env_for(env_id, kwargs) and (failure := await self._make(env_id, kwargs)):
-            return failure
+        It may take ``step_timeout``, a limit that a worker keeps itself.
+        """
         runner = self.runner
-        if self.in_place:
-            return runner.reset(seed, options)
-        if runner.concurrency == "async":
-            return await on_library_loop(runner.reset_async(seed, options))
-        return await self._in_thread(runner, runner.reset, seed, options)
-
-    async def _step(self, action: Action) -> StepResult | Failure:
-        runner = self.runner
-        if runner.concurrency == "async":
-            return await on_library_loop(runner.step_async(action))
-        return await self._in_thread(runner, runner.step, action)
-
-    async def _limited(self, work: Coroutine[Any, Any, T]) -> T | Failure:
-        """Await work of the environment for ``step_timeout`` at most; a worker keeps that limit itself."""
-        runner, limit = self.runner, self.config.step_timeout
+        work: Awaitable[T]
+        if coroutine is not None and runner.concurrency == "async":
+            work = on_library_loop(coroutine(*args))
+        else:
+            self._call = self.config.threads.submit(plain, *args)
+            work = asyncio.wrap_future(self._call)
+        limit = None if isinstance(runner.env, RemoteEnv) else self.config.step_timeout
         try:
-            return await (work if limit is None or isinstance(runner.env, RemoteEnv) else within(limit, work))
+            return await (work if limit is None else within(limit, work))
         except asyncio.CancelledError:
             self._abandon(runner)
             raise
         except TimeoutError:
             self._abandon(runner)
-        failure = Failure("timeout", f"a step or reset took longer than step_timeout, {limit:g} s")
-        hanging = sum(each.abandoned for each in self.config.busy.copy())
-        if hanging > MOST_ABANDONED:
+        failure = Failure.timeout(cast("float", limit))
+        if len(self.config.hanging) > MOST_ABANDONED:
             raise FaultBudgetError(
-                f"{hanging} environments hang in threads that cannot be ended; the last: {failure.message}. "
-                "Use backend='process', whose workers can be killed"
+                f"{len(self.config.hanging)} environments hang in threads that cannot be ended; the last: "
+                f"{failure.message}. Use backend='process', whose workers can be killed"
             )
         return failure
 
-    async def _in_thread(self, runner: EnvRunner, work: Callable[..., T], *args: Any) -> T:
-        """Run blocking work in a thread of the pool."""
-        future: concurrent.futures.Future[T] = concurrent.futures.Future()
-        future.set_running_or_notify_cancel()  # it cannot be cancelled between a look at it and its result
-
-        def run() -> None:
-            outcome = None if runner.abandoned else work(*args)
-            with self.config.lock:
-                self.config.busy.discard(runner)
-            if runner.abandoned:
-                runner.close()
-            else:
-                future.set_result(cast("T", outcome))
-
-        self.config.busy.add(runner)
-        self.config.pool.submit(run)
-        return await asyncio.wrap_future(future)
+    def abandon_if_busy(self) -> None:
+        """Abandon the environment if a thread is in it."""
+        if self._call is not None and not self._call.done():
+            self._abandon(self.runner)
 
     def _abandon(self, runner: EnvRunner) -> None:
-        """Abandon an environment that does not answer; its thread closes it when it comes back."""
-        with self.config.lock:
-            runner.abandoned = True
-            busy = runner in self.config.busy
-        if not busy:
-            self.config.pool.submit(runner.close)
-        self.runner = self._new_runner()
+        """Replace an environment that does not answer; it is closed when its thread has come back."""
+        if self.runner is not runner:
+            return
+        call, self._call, self.runner = self._call, None, self._new_runner()
+        if call is None or call.done():
+            self.config.threads.submit(runner.close)
+            return
+        if not isinstance(runner.env, RemoteEnv):  # the pool of workers counts those itself
+            self.config.hanging.add(call)
+        call.add_done_callback(self.config.hanging.discard)
+        call.add_done_callback(lambda _: runner.close())
+        call.cancel()
 
     def _new_runner(self) -> EnvRunner:
         index, make = self.index, self.config.make
-        return EnvRunner(lambda env_id, kwargs: make(index, env_id, kwargs), self.borrowed)
+        return EnvRunner(lambda env_id, kwargs: make(index, env_id, kwargs), self.borrowed, self.config.in_place)
+
+    # Faults.
 
     def fault(self, failure: Failure) -> dict[str, Any]:
         """Return ``info["error"]`` of a failure; raise it if ``on_error`` says so.
@@ -323,3 +303,77 @@ class Slot:
         """Count how an episode ended, in the budget of faults that all slots share; see ``FaultBudget.note``."""
         cause, self.cause = cause or self.cause, None
         self.config.budget.note(error, self.name(), cause)
+
+    # From result to result, for ``VectorEnv``.
+
+    def clear(self) -> None:
+        """Forget the last episode."""
+        self._last_step, self._failed_resets = None, []
+
+    def take_step(self, outcome: Any) -> bool:
+        """Store the outcome of a step, or its exception; tell whether the next episode begins now."""
+        try:
+            if type(outcome) is not tuple:
+                if isinstance(outcome, BaseException):
+                    raise outcome
+                outcome = lost_step(self.fault(outcome), joint=self.is_joint)
+            self.result = outcome
+            if not (outcome[2] or outcome[3]):
+                return False
+            self.note_end(outcome[4].get("error"))
+        except Exception as raised:  # noqa: BLE001 - raised again when the result is returned
+            self.phase, self.result = BROKEN, raised
+            return False
+        self.phase = ENDED
+        if self.config.autoreset == "same_step":
+            self._last_step = outcome
+        return self._last_step is not None
+
+    def take_reset(self, start: EpisodeStart, outcome: Any) -> bool:
+        """Store the outcome of a reset, or its exception; tell whether the plan's next episode must be tried."""
+        try:
+            if isinstance(outcome, BaseException):
+                raise outcome
+            if isinstance(outcome, Failure):
+                error = self.fault(outcome)
+                self._failed_resets.append(self._failed_reset(start, error))
+                self.note_end(error)
+                return True
+        except Exception as raised:  # noqa: BLE001 - raised again when the result is returned
+            self.phase, self.result = BROKEN, raised
+            return False
+        self.phase = LIVE
+        self._take_first(*outcome)
+        return False
+
+    def take_idle(self) -> None:
+        """Go without an episode."""
+        self.phase, self.is_joint = IDLE, False
+        self._take_first(TERMINAL_STATE, {"idle": True})
+
+    def _take_first(self, observation: Observation, info: Info) -> None:
+        if self._failed_resets:
+            info["failed_resets"] = self._failed_resets
+        last = self._last_step
+        if last is None:
+            self.result = (observation, {} if isinstance(observation, dict) else 0.0, False, False, info)
+        else:
+            info["final_obs"], info["final_info"] = last[0], last[4]
+            self.result = (observation, *last[1:4], info)
+        self.clear()
+
+    def _failed_reset(self, start: EpisodeStart, error: dict[str, Any]) -> dict[str, Any]:
+        """Return the entry of ``info["failed_resets"]`` for one reset that failed."""
+        env_id, kwargs = self.target(start)
+        return {
+            "id": env_id,
+            "kwargs": dict(kwargs),
+            "options": None if start.item.options is None else dict(start.item.options),
+            "seed": start.seed,
+            "run_seed": start.run_seed,
+            "group": start.item.group,
+            "agent": start.item.agent,
+            "key": start.key,
+            "repeat": start.repeat,
+            "error": error,
+        }

@@ -5,77 +5,55 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import logging
-import time
-from collections.abc import Callable, Collection, Coroutine, Generator, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Self, TypeVar, cast
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
 
-from gem_core.background import background_loop, on_background_loop, run_without_loop
+from gem_core.background import background_loop, on_library_loop, run_without_loop
 from gem_core.closing import CLOSING_S, close_all, wait_for_closing
 from gem_core.docs import page_url
 from gem_core.env.wrapper import AnyEnv
-from gem_core.errors import (
-    ArgumentError,
-    BridgeError,
-    ClosedError,
-    EnvFaultError,
-    ResetNeededError,
-)
+from gem_core.errors import ArgumentError, ClosedError, EnvFaultError, GemError, ResetNeededError
+from gem_core.failures import Failure, WorkerFailureError
 from gem_core.making.again import Recipe
+from gem_core.making.environment import MadeSpec
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
-from gem_core.types import TERMINAL_STATE, Action, Info, Observation
-from gem_core.vector.actions import Actions, Received, VectorStep, checked_slot, indices_and_actions, masked_slots
-from gem_core.vector.attributes import VectorAttributes
-from gem_core.vector.failures import Failure, WorkerFailureError
-from gem_core.vector.joint import check_joint_action, lost_step
+from gem_core.types import Action, Info, Observation
+from gem_core.vector.actions import Actions, Received, VectorStep, check_action, checked_slot, masked_slots, paired
 from gem_core.vector.remote import RemoteEnv, WorkerPool
-from gem_core.vector.setup import OnError, VectorSetup
-from gem_core.vector.slot import ALL_IN_PLACE, FaultBudget, Slot, VectorConfig
+from gem_core.vector.setup import Autoreset, OnError, VectorSetup
+from gem_core.vector.slot import (
+    ALL_IN_PLACE,
+    BROKEN,
+    ENDED,
+    IDLE,
+    LIVE,
+    NEW,
+    FaultBudget,
+    Slot,
+    VectorConfig,
+)
 
 logger = logging.getLogger("gem_core")
 
 T = TypeVar("T")
 
-Future = concurrent.futures.Future
-
-Work = Generator[tuple[Future[Any], float | None], None, T]
-"""The work of a method, for plain code and for coroutines: it yields futures to wait for, each with a time limit."""
-
-NEW, LIVE, ENDED, IDLE, BROKEN = "new", "live", "ended", "idle", "broken"
-"""Phases of a slot: before the first episode; in an episode; after one, before the next begins; without an episode,
-since the plan is exhausted; without an environment, since an error was raised."""
+_OWN_METHODS = ("close", "reset", "reset_async", "step", "step_async")
 
 
-@dataclass
-class _State:
-    """The state of a slot.
-
-    Args:
-        phase: One of the phases above.
-        sent: Whether a result is due that ``recv`` has not returned.
-        working: Whether its environment is at work.
-        result: The five values of a step, or an exception.
-        ended: The last step of an episode, while the next begins.
-        failed_resets: The resets that failed since then.
-    """
-
-    phase: str = NEW
-    sent: bool = False
-    working: bool = False
-    result: Any = None
-    ended: Any = None
-    failed_resets: list[dict[str, Any]] = field(default_factory=list)
-
-
-class VectorEnv(VectorAttributes):
+class VectorEnv:
     """Many environments that are reset and stepped together, each in its own slot; ``make_vec`` makes one.
 
-    It is not a ``gymnasium.vector.VectorEnv``: texts and infos are lists. It has the same attributes.
+    It is not a ``gymnasium.vector.VectorEnv``: texts and infos are lists. It has the same attributes, in every backend.
+    They make an environment if a slot has none yet, and need slots that are not under way. From a worker process comes
+    a copy, by pickling.
 
     When an episode ends, the next begins in the same call (autoreset ``same_step``): the observation is the first of
     the new episode, and ``info["final_obs"]`` and ``info["final_info"]`` hold the last of the old one. If an
@@ -89,7 +67,8 @@ class VectorEnv(VectorAttributes):
 
     ``step`` waits for all slots that it stepped; ``send`` does not wait, and ``recv`` returns results as they come.
     Each method that waits has an ``_async`` form, which does not block the event loop; all work in plain code,
-    notebooks and servers. An interrupt (Ctrl-C) inside a method closes the vector environment.
+    notebooks and servers. An interrupt (Ctrl-C) inside a method closes the vector environment, and so does cancelling
+    ``step_async`` or ``reset_async``.
 
     Args:
         setup: The arguments of ``make_vec``, checked.
@@ -101,6 +80,9 @@ class VectorEnv(VectorAttributes):
 
     entries: list[tuple[str | None, Mapping[str, Any]]]
     """The requested ids with their keyword arguments, each once; there may be more of them than slots."""
+
+    ids: list[str | None]
+    """The id of each slot's own environment."""
 
     def __init__(
         self,
@@ -131,13 +113,14 @@ class VectorEnv(VectorAttributes):
         owned = zip(self.ids, setup.slot_kwargs, strict=True)
         self.slots = [Slot(index, *own, self.config, borrowed) for index, own in enumerate(owned)]
         """The slots, for ``rollout``."""
-        self._states = [_State() for _ in self.slots]
+        self._sent: set[int] = set()
+        """Slots whose results ``recv`` has not returned."""
         self._ready: list[int] = []
-        """Slots with a result that ``recv`` has not returned, in order of completion."""
-        self._in_flight: set[Future[Any]] = set()
-        """Work on the library's own event loop."""
-        self._news: Future[None] = Future()
-        """Ends when ``recv`` has something new to look at."""
+        """Those of them that are ready, in order of completion."""
+        self._work: set[asyncio.Future[Any]] = set()
+        """What is under way on the library's own event loop."""
+        self._news, self._waiting = asyncio.Event(), 0
+        """Set when there is something new for so many calls of ``recv`` that wait there."""
 
     @classmethod
     def from_env(
@@ -177,6 +160,21 @@ class VectorEnv(VectorAttributes):
     # Properties.
 
     @property
+    def num_envs(self) -> int:
+        """Number of slots."""
+        return len(self.ids)
+
+    @property
+    def autoreset(self) -> Autoreset:
+        """When the next episode begins; see ``make_vec``."""
+        return self.config.autoreset
+
+    @property
+    def closed(self) -> bool:
+        """Whether ``close`` was called."""
+        return self._closed
+
+    @property
     def seed(self) -> int:
         """Seed of the run, from which the seed of each episode is derived."""
         return self._queue.seed
@@ -194,7 +192,7 @@ class VectorEnv(VectorAttributes):
     @property
     def under_way(self) -> int:
         """Number of slots with an action or a reset whose result has not been received."""
-        return sum(state.sent for state in self._states)
+        return len(self._sent)
 
     def start_of(self, slot: int) -> EpisodeStart | None:
         """Return the start of a slot's present episode; None when the slot is idle."""
@@ -221,29 +219,7 @@ class VectorEnv(VectorAttributes):
     def _tasks(self, env_id: str | None, kwargs: Mapping[str, Any]) -> Any:
         self._check_open()
         slot = self.slots[self.ids.index(env_id) if env_id in self.ids else 0]
-        return self._asked(slot, (env_id or slot.env_id, dict(kwargs)), _num_tasks)
-
-    def _asked(self, slot: Slot, target: tuple[Any, Any] | None, function: Callable[..., T], *args: Any) -> T:
-        """Call a function with the environment in a slot, and return its result.
-
-        Args:
-            slot: The slot.
-            target: Id and keyword arguments of the environment, which is made if it is not present; None takes the
-                present one, or makes the slot's own.
-            function: Called with the environment, in the process that the environment lives in.
-            *args: More arguments for it.
-        """
-        made = slot.runner.env is not None and target is None
-        failure = None if made else slot.runner.make(*(target or (slot.env_id, slot.kwargs)))
-        if failure is None:
-            try:
-                return cast("T", slot.runner.apply(function, *args))
-            except WorkerFailureError as error:
-                failure = error.failure
-                if failure.kind == "collateral" and target is not None:  # its worker was lost before; any other will do
-                    slot.runner.close()
-                    return self._asked(slot, target, function, *args)
-        raise failure.error or EnvFaultError(f"{slot.name()}: {failure.message}")
+        return self._ask(slot, (env_id or slot.env_id, dict(kwargs)), _num_tasks)
 
     def sample_random_action(self, slot: int, agent: str | None = None) -> str:
         """Return a valid action for the present state of a slot; an empty one before its first reset.
@@ -260,7 +236,7 @@ class VectorEnv(VectorAttributes):
         slot = checked_slot(slot, self.num_envs)
         self._check_open()
         if self.slots[slot].is_joint and agent is None:
-            acting = ", ".join(map(repr, self._states[slot].result[0]))
+            acting = ", ".join(map(repr, self.slots[slot].result[0]))
             raise ArgumentError(f"several agents act in slot {slot}: name one of {acting}")
         return self.slots[slot].sample_random_action(agent)
 
@@ -293,7 +269,8 @@ class VectorEnv(VectorAttributes):
         """``reset`` for code that runs in an event loop, without blocking it."""
         return await self._run_async(self._reset(seed, options))
 
-    def _reset(self, seed: int | None, options: dict[str, Any] | None) -> Work[tuple[list[Observation], list[Info]]]:
+    async def _reset(self, seed: int | None, options: dict[str, Any] | None) -> tuple[list[Observation], list[Info]]:
+        self._check_open()
         if options is not None and not isinstance(options, Mapping):
             raise ArgumentError(f"options must be a mapping of names to values, not {options!r:.200}")
         chosen = list(range(self.num_envs))
@@ -308,16 +285,18 @@ class VectorEnv(VectorAttributes):
                 )
             self._plan = self._plan.restarted(seed)
         if everything:
-            yield from self._finish_under_way()
+            await self._drop_sent()
             self._queue = self._plan
             self.config.budget.note(None, "")
-        else:
-            self._refuse_busy(chosen)
+        slots = [self.slots[index] for index in chosen]
+        self._refuse_busy(slots)
+        for slot in slots:
+            slot.clear()
+        await self._begin(slots, options)
+        results = [slot.result for slot in self.slots]
         for index in chosen:
-            self._states[index].ended, self._states[index].failed_resets = None, []
-        yield from self._begin(chosen, options)
-        self._raise_first_error(chosen)
-        results = [state.result for state in self._states]
+            if isinstance(results[index], BaseException):
+                raise results[index]
         observations = [result[0] if isinstance(result, tuple) else "" for result in results]
         began = set(chosen)
         return observations, [result[4] if index in began else {} for index, result in enumerate(results)]
@@ -340,42 +319,36 @@ class VectorEnv(VectorAttributes):
             EnvFaultError: An environment failed, and ``on_error`` is ``"raise"``.
             FaultBudgetError: Too many faults in a row.
         """
-        return self._run(self._step(self._checked_pairs(actions)))
+        return self._run(self._step(actions))
 
     async def step_async(self, actions: Actions) -> VectorStep:
-        """``step`` for code that runs in an event loop, without blocking it.
+        """``step`` for code that runs in an event loop, without blocking it."""
+        return await self._run_async(self._step(actions))
 
-        If it is cancelled, as by a time limit, the slots go on, and ``recv`` returns their results.
-        """
+    async def _step(self, actions: Actions) -> VectorStep:
         pairs = self._checked_pairs(actions)
-        return await self._run_async(self._step(pairs), [index for index, _ in pairs])
+        await self._advance(pairs)
+        return _results(pairs)
 
-    def _step(self, pairs: list[tuple[int, Action]]) -> Work[VectorStep]:
-        yield from self._advance(pairs)
-        return self._results([index for index, _ in pairs])
-
-    def _advance(self, pairs: list[tuple[int, Action]]) -> Work[None]:
+    async def _advance(self, pairs: Sequence[tuple[Slot, Action]]) -> None:
         """Step slots, then begin the next episodes of slots whose episode ended."""
-        slots, states = self.slots, self._states
-        due: list[int] = []
-        elsewhere: list[tuple[int, Action]] = []
-        for index, action in pairs:
-            if states[index].phase is not LIVE:
-                if not self._is_idle(index):
-                    due.append(index)  # next_step: this call begins the next episode, and the action is ignored
-            elif slots[index].in_place:
-                outcome = slots[index].runner.step(action)
-                if type(outcome) is tuple and not (outcome[2] or outcome[3]):
-                    states[index].result = outcome
-                elif self._take(index, outcome):
-                    due.append(index)
-            else:
-                elsewhere.append((index, action))
+        due: list[Slot] = []
+        elsewhere = []
+        for slot, action in pairs:
+            if slot.phase is IDLE:
+                slot.take_idle()
+            elif slot.phase is not LIVE:
+                due.append(slot)  # next_step: this call begins the next episode, and the action is ignored
+            elif not slot.runner.in_place:
+                elsewhere.append((slot, slot.step, action))
+            elif slot.take_step(slot.runner.step(action)):
+                due.append(slot)
         if elsewhere:
-            outcomes = yield from self._all([(index, False, slots[index].step(action)) for index, action in elsewhere])
-            due += [index for index, _ in elsewhere if self._take(index, outcomes[index])]
+            for (slot, *_), outcome in zip(elsewhere, await self._side_by_side(elsewhere), strict=True):
+                if slot.take_step(outcome):
+                    due.append(slot)
         if due:
-            yield from self._begin(sorted(due), None)
+            await self._begin(sorted(due, key=lambda slot: slot.index), None)
 
     # Methods that do not wait for all slots.
 
@@ -386,22 +359,36 @@ class VectorEnv(VectorAttributes):
             ArgumentError: The number of actions is not the number of slots, or a slot does not exist or is under way.
             ResetNeededError: A slot has no episode, and none begins by itself.
         """
-        self._check_open()
-        for pair in self._checked_pairs(actions):
-            self._states[pair[0]].sent = True
-            self._go_on([pair[0]], self._advance([pair]))
+        for slot, action in self._checked_pairs(actions):
+            self._send(slot, self._advance([(slot, action)]))
 
     def reset_slot(self, slot: int) -> None:
         """Begin the next episode of a slot, also in the middle of one; ``recv`` returns its first observation.
 
         The reward is then 0, and the flags are false.
         """
-        slot = checked_slot(slot, self.num_envs)
         self._check_open()
-        self._refuse_busy([slot])
-        state = self._states[slot]
-        state.ended, state.failed_resets, state.sent = None, [], True
-        self._go_on([slot], self._begin([slot], None))
+        chosen = self.slots[checked_slot(slot, self.num_envs)]
+        self._refuse_busy([chosen])
+        chosen.clear()
+        self._send(chosen, self._begin([chosen], None))
+
+    def _send(self, slot: Slot, work: Coroutine[Any, Any, None]) -> None:
+        """Begin work of a slot, or do it all if the slot runs in place."""
+
+        async def until_ready() -> None:
+            try:
+                await work
+            except Exception as error:  # noqa: BLE001 - raised again when the result is received
+                slot.result = error
+            self._ready.append(slot.index)
+            self._tell_news()
+
+        self._sent.add(slot.index)
+        if slot.in_place:
+            self._run(until_ready())
+        else:
+            asyncio.run_coroutine_threadsafe(until_ready(), background_loop())
 
     def abort_slot(self, slot: int, error: dict[str, Any] | None, cause: BaseException | None = None) -> None:
         """``reset_slot`` in the middle of an episode.
@@ -412,7 +399,7 @@ class VectorEnv(VectorAttributes):
                 nothing failed, as when the history is longer than the model's context.
             cause: The exception, if there was one.
         """
-        self.slots[slot].note_end(error, cause)
+        self.slots[checked_slot(slot, self.num_envs)].note_end(error, cause)
         self.reset_slot(slot)
 
     def recv(self, min_envs: int = 1, timeout: float | None = None) -> Received:
@@ -431,28 +418,174 @@ class VectorEnv(VectorAttributes):
 
     async def recv_async(self, min_envs: int = 1, timeout: float | None = None) -> Received:
         """``recv`` for code that runs in an event loop, without blocking it."""
-        return await self._run_async(self._recv(min_envs, timeout))
+        return await self._recv(min_envs, timeout)
 
-    def _recv(self, min_envs: int, timeout: float | None) -> Work[Received]:
+    async def _recv(self, min_envs: int, timeout: float | None) -> Received:
+        self._check_open()
         if type(min_envs) is not int or min_envs < 0:
             raise ArgumentError(f"min_envs must be a whole number from 0 up, not {min_envs!r}")
-        if not self.under_way:
+        if not self._sent:
             raise ArgumentError("nothing is under way: recv() returns the results of send()")
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while len(self._ready) < min(min_envs, self.under_way):
-            news = self._news
-            left = None if deadline is None else deadline - time.monotonic()
-            if left is not None and left <= 0:
-                break
-            if len(self._ready) < min(min_envs, self.under_way):  # nothing has come since news was taken
-                yield news, left
+        await self._wait_for_ready(min_envs, timeout)
         # A failure is raised only after all other results have been received, so that none of them is lost.
         ready = list(self._ready)
-        order = [index for index in ready if isinstance(self._states[index].result, tuple)] or ready[:1]
+        order = [index for index in ready if isinstance(self.slots[index].result, tuple)] or ready[:1]
         for index in order:
             self._ready.remove(index)
-            self._states[index].sent = False
-        return Received(order, *self._results(order))
+            self._sent.discard(index)
+        return Received(order, *_results([(self.slots[index], None) for index in order]))
+
+    async def _wait_for_ready(self, count: int, timeout: float | None = None) -> None:
+        """Wait until so many slots are ready, or all that were sent."""
+
+        def enough() -> bool:
+            return self._closed or len(self._ready) >= min(count, len(self._sent))
+
+        async def wait() -> None:
+            self._waiting += 1
+            try:
+                async with asyncio.timeout(timeout):
+                    while not enough():
+                        self._news.clear()
+                        await self._news.wait()
+            finally:
+                self._waiting -= 1
+
+        if not enough():
+            with suppress(TimeoutError):
+                await on_library_loop(wait())
+        self._check_open()
+
+    def _tell_news(self) -> None:
+        if self._waiting:
+            background_loop().call_soon_threadsafe(self._news.set)
+
+    async def _drop_sent(self) -> None:
+        """Wait for slots that are under way, and drop their results."""
+        await self._wait_for_ready(len(self._sent))
+        self._ready.clear()
+        self._sent.clear()
+
+    # Attributes, as Gymnasium's users know them. Source: https://gymnasium.farama.org/api/vector/.
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """Metadata of the first slot's environment, and ``autoreset_mode`` as Gymnasium names it."""
+        return {**self._first("metadata"), "autoreset_mode": AutoresetMode[self.autoreset.upper()]}
+
+    @property
+    def render_mode(self) -> str | None:
+        """Render mode of the first slot's environment."""
+        return cast("str | None", self._first("render_mode"))
+
+    @property
+    def spec(self) -> MadeSpec | None:
+        """The spec of the first slot's environment; its ``make`` makes another."""
+        return cast("MadeSpec | None", self._first("spec"))
+
+    @property
+    def single_observation_space(self) -> spaces.Space[Any]:
+        """Space of one slot's observations: the first slot's, if they differ; by agent, if several act."""
+        return cast("spaces.Space[Any]", self._first("observation_space", _space))
+
+    @property
+    def single_action_space(self) -> spaces.Space[Any]:
+        """Space of one slot's actions: the first slot's, if they differ; by agent, if several act."""
+        return cast("spaces.Space[Any]", self._first("action_space", _space))
+
+    @property
+    def observation_space(self) -> spaces.Tuple[Any]:
+        """Spaces of all slots' observations."""
+        return spaces.Tuple(self._ask_all(_space, "observation_space"))
+
+    @property
+    def action_space(self) -> spaces.Tuple[Any]:
+        """Spaces of all slots' actions; ``sample`` draws any text. ``sample_random_action`` draws valid actions."""
+        return spaces.Tuple(self._ask_all(_space, "action_space"))
+
+    def render(self) -> tuple[Any, ...]:
+        """Return what ``render`` of each slot's environment returns: texts in the mode ``"ansi"``."""
+        return self.call("render")
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method of every slot's environment, or read an attribute that cannot be called.
+
+        Args:
+            name: Of the method; a wrapper's goes before the task's.
+            *args: Arguments for it.
+            **kwargs: Keyword arguments for it.
+
+        Returns:
+            The results, in the order of the slots.
+
+        Raises:
+            ArgumentError: It is ``reset``, ``step`` or ``close``, which this class itself has; an environment has
+                nothing of this name; or a slot is under way.
+            EnvFaultError: The method raised something; the environment goes on.
+        """
+        if name in _OWN_METHODS:
+            raise ArgumentError(f"call({name!r}) would go past the vector environment; use its own {name}()")
+        return self._ask_all(_call, name, args, kwargs)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return an attribute of every slot's environment, in the order of the slots.
+
+        Raises:
+            ArgumentError: An environment has no such attribute, or a slot is under way.
+        """
+        return self._ask_all(_get, name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute of every slot's environment, until the environment is replaced.
+
+        A plan that asks for another environment replaces it, and so does a fault. What every environment shall have is
+        a keyword argument of ``make_vec``.
+
+        Args:
+            name: Name of the attribute; it is set on the task if no wrapper has it.
+            values: A list or tuple with one for each slot; or one value for all.
+
+        Raises:
+            ArgumentError: The number of values is not the number of slots, or a slot is under way.
+        """
+        each = values if isinstance(values, list | tuple) else [values] * self.num_envs
+        if len(each) != self.num_envs:
+            raise ArgumentError(f"set_attr({name!r}) takes {self.num_envs} values, one for each slot, not {len(each)}")
+        self._ask_all(_set, name, each)
+
+    def _first(self, name: str, function: Callable[..., Any] | None = None) -> Any:
+        return self._ask_all(function or _get, name, slots=self.slots[:1])[0]
+
+    def _ask_all(
+        self, function: Callable[..., Any], *args: Any, slots: Sequence[Slot] | None = None
+    ) -> tuple[Any, ...]:
+        """Apply a function to the environments of slots, each in its own process."""
+        slots = self.slots if slots is None else slots
+        self._check_open()
+        self._refuse_busy(slots)
+        return tuple(self._ask(slot, None, _apply, slot.index, function, *args) for slot in slots)
+
+    def _ask(self, slot: Slot, target: tuple[Any, Any] | None, function: Callable[..., T], *args: Any) -> T:
+        """Call a function with the environment in a slot, and return its result.
+
+        Args:
+            slot: The slot.
+            target: Id and keyword arguments of the environment, which is made if it is not present; None takes the
+                present one, or makes the slot's own.
+            function: Called with the environment, in the process that the environment lives in.
+            *args: More arguments for it.
+        """
+        made = slot.runner.env is not None and target is None
+        failure = None if made else slot.runner.make(*(target or (slot.env_id, slot.kwargs)))
+        if failure is None:
+            try:
+                return cast("T", slot.runner.apply(function, *args))
+            except WorkerFailureError as error:
+                failure = error.failure
+                if failure.kind == "collateral" and target is not None:  # its worker was lost before; any other will do
+                    slot.runner.close()
+                    return self._ask(slot, target, function, *args)
+        raise failure.error or EnvFaultError(f"{slot.name()}: {failure.message}")
 
     def close(self) -> None:
         """Close all environments at once, for good; later calls raise ``ClosedError``.
@@ -463,17 +596,16 @@ class VectorEnv(VectorAttributes):
             return
         self._closed = True
         self._tell_news()
-        for future in list(self._in_flight):
-            future.cancel()
+        for work in self._work.copy():
+            work.get_loop().call_soon_threadsafe(work.cancel)
         for slot in self.slots:
             slot.abandon_if_busy()
         here = [slot.runner for slot in self.slots if not isinstance(slot.runner.env, RemoteEnv)]
         hanging = close_all([env for runner in here for env in runner.forget()])
         left = 0 if self._pool is None else self._pool.close()
         left += wait_for_closing(0.0 if hanging or left else CLOSING_S)
-        busy = [runner for runner in self.config.busy.copy() if not isinstance(runner.env, RemoteEnv)]
-        left += sum(runner.abandoned for runner in busy)
-        self.config.pool.close()
+        left += len(self.config.hanging)
+        self.config.threads.close()
         if left:
             logger.warning("gem: environments that did not close in time, or were at work, were left: %d", left)
 
@@ -492,208 +624,93 @@ class VectorEnv(VectorAttributes):
             f"VectorEnv({names if len(names) < 200 else names[:200] + '…'}, num_envs={self.num_envs}, seed={self.seed})"
         )
 
-    # For rollout.
-
     async def begin_rollout(self) -> None:
         """Wait for pending work, and hand the slots to a rollout; afterwards ``reset`` begins anew."""
-        await self._run_async(self._finish_under_way())
+        await self._drop_sent()
         self.config.budget.note(None, "")
-        for slot, state in zip(self.slots, self._states, strict=True):
-            slot.start, slot.is_joint, state.phase = None, False, NEW
+        for slot in self.slots:
+            slot.start, slot.is_joint, slot.phase = None, False, NEW
 
-    # The next episodes.
+    # Doing work.
 
-    def _begin(self, indices: Sequence[int], options: dict[str, Any] | None) -> Work[None]:
+    async def _begin(self, slots: Sequence[Slot], options: dict[str, Any] | None) -> None:
         """Begin the next episode of some slots; after a failed reset, try the plan's next, until one begins."""
-        while indices:
-            starts: list[tuple[int, EpisodeStart]] = []
-            for index in indices:  # draws in the order of slots, whichever environment is ready first
-                start = self.slots[index].start = self._queue.draw(index)
-                if start is not None:
-                    starts.append((index, start))
+        while slots:
+            idle: list[Slot] = []
+            starts: list[tuple[Slot, EpisodeStart]] = []
+            for slot in slots:  # draws in the order of slots, whichever environment is ready first
+                slot.start = start = self._queue.draw(slot.index)
+                if start is None:
+                    slot.take_idle()
+                    idle.append(slot)
                 else:
-                    yield from self._make_idle(index)
-            making = [(index, start) for index, start in starts if not self.slots[index].fits(start)]
-            outcomes: dict[int, Any] = yield from self._all(
-                [
-                    (index, self.slots[index].prepares_in_place(start), self.slots[index].prepare(start))
-                    for index, start in making
-                ]
+                    starts.append((slot, start))
+            await self._do((slot, slot.in_place or slot.runner.env is None, slot.release) for slot in idle)
+            making = [(slot, start) for slot, start in starts if not slot.fits(start)]
+            outcomes = await self._do(
+                (slot, slot.prepares_in_place(start), slot.prepare, start) for slot, start in making
             )
-            outcomes |= yield from self._all(
-                [
-                    (index, self.slots[index].in_place, self.slots[index].reset(start, options))
-                    for index, start in starts
-                    if outcomes.get(index) is None
-                ]
-            )
-            indices = [index for index, start in starts if self._take_reset(index, start, outcomes[index])]
+            made = [(slot, start) for slot, start in starts if outcomes.get(slot.index) is None]
+            outcomes |= await self._do((slot, slot.in_place, slot.reset, start, options) for slot, start in made)
+            slots = [slot for slot, start in starts if slot.take_reset(start, outcomes[slot.index])]
 
-    def _make_idle(self, index: int) -> Work[None]:
-        slot, state = self.slots[index], self._states[index]
-        slot.is_joint, state.phase = False, IDLE
-        self._set_first_result(index, TERMINAL_STATE, {"idle": True})
-        yield from self._all([(index, slot.in_place or slot.runner.env is None, slot.release())])
-
-    def _take_reset(self, index: int, start: EpisodeStart, outcome: Any) -> bool:
-        """Store the outcome of a reset; tell whether the next episode of the plan must be tried."""
-        state = self._states[index]
-        if isinstance(outcome, Failure):
-            try:
-                error = self.slots[index].fault(outcome)
-                state.failed_resets.append(_failed_reset(self.slots[index], start, error))
-                self.slots[index].note_end(error)
-            except Exception as raised:  # noqa: BLE001 - raised again when the result is returned
-                state.phase, state.result = BROKEN, raised
-                return False
-            return True
-        if isinstance(outcome, BaseException):
-            state.phase, state.result = BROKEN, outcome
-            return False
-        state.phase = LIVE
-        self._set_first_result(index, *outcome)
-        return False
-
-    def _set_first_result(self, index: int, observation: Observation, info: Info) -> None:
-        state = self._states[index]
-        if state.failed_resets:
-            info["failed_resets"], state.failed_resets = state.failed_resets, []
-        ended, state.ended = state.ended, None
-        if ended is None:
-            state.result = (observation, {} if isinstance(observation, dict) else 0.0, False, False, info)
-        else:
-            info["final_obs"], info["final_info"] = ended[0], ended[4]
-            state.result = observation, ended[1], ended[2], ended[3], info
-
-    def _take(self, index: int, outcome: Any) -> bool:
-        """Store the outcome of a step; tell whether the next episode begins now."""
-        state, config = self._states[index], self.config
-        try:
-            if isinstance(outcome, BaseException):
-                raise outcome
-            if isinstance(outcome, Failure):
-                error = self.slots[index].fault(outcome)
-                outcome = lost_step(error, joint=self.slots[index].is_joint)
-            elif not (outcome[2] or outcome[3]):
-                state.result = outcome
-                return False
-            self.slots[index].note_end(outcome[4].get("error"))
-        except Exception as raised:  # noqa: BLE001 - raised again when the result is returned
-            state.phase, state.result = BROKEN, raised
-            return False
-        state.phase, state.result = ENDED, outcome
-        if config.autoreset != "same_step":
-            return False
-        # The environment may reuse its info dictionary in reset.
-        state.ended = (*outcome[:4], outcome[4].copy())
-        return True
-
-    def _is_idle(self, index: int) -> bool:
-        """Tell whether a slot is idle, and store its result if so; raise if the slot cannot be stepped."""
-        state = self._states[index]
-        if state.phase is IDLE:
-            state.result = (TERMINAL_STATE, 0.0, False, False, {"idle": True})
-            return True
-        if state.phase is BROKEN:
-            raise ResetNeededError(f"slot {index} has no environment since an error was raised; call reset()")
-        if state.phase is NEW:
-            raise ResetNeededError("the vector environment has not begun; call reset() before the first step()")
-        if self.config.autoreset == "disabled":
-            raise ResetNeededError(
-                f"the episode of slot {index} is over, and autoreset is disabled; "
-                "call reset(options={'reset_mask': …}) before the next step(). "
-                f"See {page_url('vector-environments/#when-episodes-end')}"
-            )
-        return False
-
-    # Doing work: in place at once, the rest on the library's own event loop, side by side.
-
-    def _all(self, jobs: list[tuple[int, bool, Coroutine[Any, Any, Any]]]) -> Work[dict[int, Any]]:
-        """Do jobs, each ``(slot, runs in place, coroutine)``; return results and exceptions by slot."""
+    async def _do(self, jobs: Iterable[tuple[Any, ...]]) -> dict[int, Any]:
+        """Do jobs ``(slot, runs in place, coroutine function, *arguments)``; return results and errors by slot."""
         outcomes: dict[int, Any] = {}
-        for index, in_place, job in jobs:
+        elsewhere = []
+        for slot, in_place, work, *args in jobs:
             if in_place:
-                try:
-                    outcomes[index] = run_without_loop(job)
-                except Exception as error:  # noqa: BLE001 - raised again when the result is returned
-                    outcomes[index] = error
-        elsewhere = [(index, job) for index, in_place, job in jobs if not in_place]
+                outcomes[slot.index] = await work(*args)
+            else:
+                elsewhere.append((slot, work, *args))
         if elsewhere:
-            for index, _ in elsewhere:
-                self._states[index].working = True
-            future = asyncio.run_coroutine_threadsafe(_gather([job for _, job in elsewhere]), background_loop())
-            self._in_flight.add(future)
-            future.add_done_callback(self._in_flight.discard)
-            yield future, None
-            for (index, _), outcome in zip(elsewhere, future.result(), strict=True):
-                self._states[index].working = False
-                outcomes[index] = outcome
+            results = await self._side_by_side(elsewhere)
+            outcomes |= {job[0].index: result for job, result in zip(elsewhere, results, strict=True)}
         return outcomes
 
-    def _run(self, work: Work[T]) -> T:
-        """Do the work of a method in plain code."""
-        self._check_open()
+    async def _side_by_side(self, jobs: Sequence[tuple[Any, ...]]) -> list[Any]:
+        """Do jobs ``(slot, coroutine function, *arguments)`` on the library's loop; return results and errors."""
+        for slot, *_ in jobs:
+            slot.busy = True
         try:
-            while True:
-                future, seconds = next(work)
-                if on_background_loop() and not future.done():
-                    raise BridgeError(
-                        "a plain method of a vector environment was called on the library's own event loop, and would "
-                        "wait for itself; await step_async, reset_async or recv_async there instead"
-                    )
-                concurrent.futures.wait([future], seconds)
-                self._check_open()
-        except StopIteration as finished:
-            return cast("T", finished.value)
+            return await on_library_loop(self._gather(jobs))
+        finally:
+            for slot, *_ in jobs:
+                slot.busy = False
+
+    async def _gather(self, jobs: Sequence[tuple[Any, ...]]) -> list[Any]:
+        coroutines = []
+        for _, work, *args in jobs:
+            coroutines.append(work(*args))
+        gathered = asyncio.gather(*coroutines, return_exceptions=True)
+        self._work.add(gathered)
+        if self._closed:  # meanwhile
+            gathered.cancel()
+        try:
+            return await gathered
+        finally:
+            self._work.discard(gathered)
+
+    def _run(self, work: Coroutine[Any, Any, T]) -> T:
+        """Do the work of a method in plain code, as ``_run_async`` in a coroutine."""
+        try:
+            return run_without_loop(work)
         except KeyboardInterrupt:
             self.close()
             raise
-
-    async def _run_async(self, work: Work[T], indices: Sequence[int] = ()) -> T:
-        """Do the work of a method in a coroutine; if it is cancelled, ``recv`` returns the results of the slots."""
-        self._check_open()
-        while True:
-            try:
-                future, seconds = next(work)
-            except StopIteration as finished:
-                return cast("T", finished.value)
-            try:
-                await wait_for_future(future, seconds)
-            except asyncio.CancelledError:
-                for index in indices:
-                    self._states[index].sent = True
-                future.add_done_callback(lambda _: self._go_on(indices, work))
-                raise
-            self._check_open()
-
-    def _go_on(self, indices: Sequence[int], work: Work[Any]) -> None:
-        """Do work until it has to wait, and the rest in callbacks; afterwards ``recv`` has the results."""
-        try:
-            future, _ = next(work)
-        except StopIteration:
-            pass
         except concurrent.futures.CancelledError:
-            return  # the vector environment was closed
-        except Exception as error:  # noqa: BLE001 - raised again when the result is returned
-            for index in indices:
-                self._states[index].result = error
-        else:
-            future.add_done_callback(lambda _: self._go_on(indices, work))
-            return
-        self._ready += indices
-        self._tell_news()
+            self._check_open()
+            raise
 
-    def _tell_news(self) -> None:
-        news, self._news = self._news, Future()
-        news.set_result(None)
-
-    def _finish_under_way(self) -> Work[None]:
-        """Wait for slots that are under way, and drop their results."""
-        while self._in_flight:
-            yield next(iter(self._in_flight)), None
-        self._ready.clear()
-        for state in self._states:
-            state.sent = False
+    async def _run_async(self, work: Awaitable[T]) -> T:
+        try:
+            return await work
+        except asyncio.CancelledError:
+            if cast("asyncio.Task[Any]", asyncio.current_task()).cancelling():
+                self.close()
+            else:
+                self._check_open()
+            raise
 
     # Arguments and results.
 
@@ -701,63 +718,59 @@ class VectorEnv(VectorAttributes):
         if self._closed:
             raise ClosedError("the vector environment is closed; make another with make_vec")
 
-    def _refuse_busy(self, indices: Iterable[int]) -> None:
-        for index in indices:
-            if self._states[index].sent or self._states[index].working:
-                raise ArgumentError(f"slot {index} is under way; call recv() until it has come back")
+    def _refuse_busy(self, slots: Iterable[Slot]) -> None:
+        for slot in slots:
+            if slot.busy or slot.index in self._sent:
+                raise ArgumentError(f"slot {slot.index} is under way; call recv() until it has come back")
 
-    def _checked_pairs(self, actions: Actions) -> list[tuple[int, Action]]:
+    def _checked_pairs(self, actions: Actions) -> list[tuple[Slot, Action]]:
+        """Return the slots to step, each with its action, in the order given."""
         self._check_open()
-        pairs = indices_and_actions(actions, self.num_envs)
-        for index, action in pairs:
-            state = self._states[index]
-            if state.phase is LIVE:
-                if state.sent or state.working:
-                    self._refuse_busy([index])
-                if self.slots[index].is_joint or type(action) is not str:
-                    check_joint_action(index, action, state.result[0])
-            else:
-                self._refuse_busy([index])
-                self._is_idle(index)
+        slots, sent = self.slots, self._sent
+        pairs = []
+        for index, action in paired(actions, len(slots)):
+            slot = slots[index]
+            if sent or slot.busy or slot.phase is not LIVE or slot.is_joint or type(action) is not str:
+                self._check_step(slot, action)
+            pairs.append((slot, action))
         return pairs
 
-    def _results(self, order: Sequence[int]) -> VectorStep:
-        results = [self._states[index].result for index in order]
-        if not results:
-            empty = np.zeros(0)
-            return VectorStep([], empty, empty.astype(bool), empty.astype(bool), [])
-        self._raise_first_error(order)
-        observations, rewards, terminated, truncated, infos = zip(*results, strict=True)
-        return VectorStep(
-            list(observations),
-            _rewards(rewards),
-            np.array(terminated, np.bool_),
-            np.array(truncated, np.bool_),
-            list(map(dict.copy, infos)),  # some environments reuse their info dictionary
-        )
-
-    def _raise_first_error(self, order: Iterable[int]) -> None:
-        for index in order:
-            if isinstance(self._states[index].result, BaseException):
-                raise self._states[index].result
+    def _check_step(self, slot: Slot, action: Action) -> None:
+        """Raise if a slot cannot be stepped by an action."""
+        self._refuse_busy([slot])
+        if slot.phase is LIVE:
+            check_action(slot.index, action, slot.result[0])
+        elif slot.phase is BROKEN:
+            raise ResetNeededError(f"slot {slot.index} has no environment since an error was raised; call reset()")
+        elif slot.phase is NEW:
+            raise ResetNeededError("the vector environment has not begun; call reset() before the first step()")
+        elif slot.phase is ENDED and self.autoreset == "disabled":
+            raise ResetNeededError(
+                f"the episode of slot {slot.index} is over, and autoreset is disabled; "
+                "call reset(options={'reset_mask': …}) before the next step(). "
+                f"See {page_url('vector-environments/#when-episodes-end')}"
+            )
 
 
-async def _gather(jobs: list[Coroutine[Any, Any, T]]) -> list[T | BaseException]:
-    return await asyncio.gather(*jobs, return_exceptions=True)
-
-
-async def wait_for_future(future: Future[Any], seconds: float | None) -> None:
-    """Wait for a future of another thread, which goes on if the waiter is cancelled."""
-    loop, done = asyncio.get_running_loop(), asyncio.Event()
-
-    def tell(_: object) -> None:
-        with suppress(RuntimeError):  # the loop was closed
-            loop.call_soon_threadsafe(done.set)
-
-    future.add_done_callback(tell)
-    with suppress(TimeoutError):
-        async with asyncio.timeout(seconds):
-            await done.wait()
+def _results(pairs: Iterable[tuple[Slot, Any]]) -> VectorStep:
+    results = []
+    for slot, _ in pairs:
+        if type(slot.result) is not tuple:
+            raise slot.result
+        results.append(slot.result)
+    columns = zip(*results, strict=True) if results else [()] * 5
+    observations, rewards, terminated, truncated, infos = columns
+    try:
+        numbers = np.array(rewards, np.float64)
+    except TypeError:  # several agents act in some slot
+        numbers = cast("npt.NDArray[np.float64]", list(rewards))
+    return VectorStep(
+        list(observations),
+        numbers,
+        np.array(terminated, np.bool_),
+        np.array(truncated, np.bool_),
+        list(infos),
+    )
 
 
 def _num_tasks(env: AnyEnv) -> tuple[int | None, bool]:
@@ -765,25 +778,40 @@ def _num_tasks(env: AnyEnv) -> tuple[int | None, bool]:
     return task.num_tasks, task.endless_tasks
 
 
-def _failed_reset(slot: Slot, start: EpisodeStart, error: dict[str, Any]) -> dict[str, Any]:
-    """Return the entry of ``info["failed_resets"]`` for one reset that failed."""
-    env_id, kwargs = slot.target(start)
-    return {
-        "id": env_id,
-        "kwargs": dict(kwargs),
-        "options": None if start.item.options is None else dict(start.item.options),
-        "seed": start.seed,
-        "run_seed": start.run_seed,
-        "group": start.item.group,
-        "agent": start.item.agent,
-        "key": start.key,
-        "repeat": start.repeat,
-        "error": error,
-    }
+# Applied to an environment in its own process.
 
 
-def _rewards(rewards: tuple[Any, ...]) -> npt.NDArray[np.float64]:
+def _apply(env: AnyEnv, slot: int, function: Callable[..., Any], name: str, *args: Any) -> Any:
     try:
-        return np.fromiter(rewards, np.float64, len(rewards))
-    except TypeError:  # several agents act in some slot
-        return cast("npt.NDArray[np.float64]", list(rewards))
+        return function(env, slot, name, *args)
+    except GemError:
+        raise
+    except Exception as error:
+        raise EnvFaultError(f"slot {slot}: {Failure.of(error, name).message}") from error
+
+
+def _get(env: AnyEnv, slot: int, name: str) -> Any:
+    try:
+        return env.get_wrapper_attr(name)
+    except AttributeError:
+        raise ArgumentError(f"slot {slot}: {type(env.unwrapped).__name__} has no attribute {name!r}") from None
+
+
+def _space(env: AnyEnv, slot: int, name: str) -> spaces.Space[Any]:
+    found = _get(env, slot, name)
+    if isinstance(found, spaces.Space):
+        return found
+    return spaces.Dict({agent: found(agent) for agent in _get(env, slot, "possible_agents")})
+
+
+def _call(env: AnyEnv, slot: int, name: str, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> Any:
+    found = _get(env, slot, name)
+    return found(*args, **kwargs) if callable(found) else found
+
+
+def _set(env: AnyEnv, slot: int, name: str, values: list[Any]) -> None:
+    # Not by Gymnasium's set_wrapper_attr, which takes what our wrappers pass on from inside for their own.
+    layer: Any = env
+    while isinstance(layer, gymnasium.Wrapper) and name not in vars(layer) and not hasattr(type(layer), name):
+        layer = layer.env
+    setattr(layer, name, values[slot])

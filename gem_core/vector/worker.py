@@ -15,10 +15,10 @@ from typing import Any
 
 from gem_core.closing import CLOSING_S, close_all, wait_for_closing
 from gem_core.errors import EnvFaultError, GemError
+from gem_core.failures import Failure, shown_error
 from gem_core.records.plain_json import to_plain
 from gem_core.registry.entry_points import load_entry_point
-from gem_core.vector.failures import Failure
-from gem_core.vector.remote import why
+from gem_core.types import Action, ResetResult, StepResult
 from gem_core.vector.runner import EnvRunner
 from gem_core.vector.setup import VectorSetup
 
@@ -43,26 +43,76 @@ class WorkerLoop:
         self._runners: dict[int, EnvRunner] = {}
 
     def handle(self, request: bytes) -> bytes:
-        """Return the reply to a request; a ``Failure`` if anything fails."""
-        number, method, content = pickle.loads(request)
+        """Return the reply to a request, which names a method below and has its arguments."""
         try:
-            args = pickle.loads(content)
-        except Exception as error:  # noqa: BLE001 - an object's own pickling may raise anything
-            thing = "its action" if method == "step" else "what it is made from"
-            return pickle.dumps(Failure("exception", f"{thing} cannot be read in another process:{why(error)}"))
-        handlers: dict[str, Callable[..., Any]] = {
-            "reset": self._reset,
-            "step": lambda runner, action: runner.step(action),
-            "apply": self._apply,
-            "sample_random_action": self._sample,
-            "close": lambda _: self._runners.pop(number).close(),
-            "close_all": lambda _: self.close(),
-        }
-        value = handlers[method](self._runner(number), *args)
+            method, args = pickle.loads(request)
+        except Exception as error:  # noqa: BLE001 - an object's own unpickling may raise anything
+            reply: Any = Failure("exception", f"a request cannot be read in another process: {shown_error(error)}")
+        else:
+            reply = getattr(self, method)(*args)
         try:
-            return pickle.dumps(value, protocol=5)
+            return pickle.dumps(reply, protocol=5)
         except Exception as error:  # noqa: BLE001 - as above
-            return pickle.dumps(Failure("exception", f"its result cannot be sent to another process:{why(error)}"))
+            message = f"its result cannot be sent to another process: {shown_error(error)}"
+            return pickle.dumps(Failure("exception", message))
+
+    # Requests. The first argument is the number of an environment: a slot's former one may still be closing when the
+    # next is made.
+
+    def reset(
+        self,
+        number: int,
+        env_id: str | None,
+        kwargs: Mapping[str, Any],
+        record: bytes | None,
+        seed: int,
+        options: Mapping[str, Any] | None,
+        describe: bool,
+    ) -> tuple[ResetResult, Any] | Failure:
+        """Begin an episode; return its beginning and, if asked, the description of the environment."""
+        runner = self._runner(number)
+        if failure := self._make(runner, env_id, kwargs, record):
+            return failure
+        described = runner.describe() if describe else None
+        try:
+            pickle.dumps(described)
+        except Exception:  # noqa: BLE001 - as above; then in the form that a file of episodes has
+            described = to_plain(described)
+        outcome = runner.reset(seed, options)
+        return outcome if isinstance(outcome, Failure) else (outcome, described)
+
+    def step(self, number: int, action: Action) -> StepResult | Failure:
+        """Step an environment."""
+        return self._runner(number).step(action)
+
+    def apply(
+        self,
+        number: int,
+        env_id: str | None,
+        kwargs: Mapping[str, Any],
+        record: bytes | None,
+        function: Callable[..., Any],
+        args: tuple[Any, ...],
+    ) -> Any:
+        """Return ``function(env, *args)``; the environment is made if need be."""
+        runner = self._runner(number)
+        if runner.env is None and (failure := self._make(runner, env_id, kwargs, record)):
+            return failure
+        try:
+            return runner.apply(function, *args)
+        except Exception as error:  # noqa: BLE001 - raised again in the program
+            return Failure.of(error, getattr(function, "__name__", "a question"))
+
+    def sample_random_action(self, number: int, seed: int | None, agent: str | None) -> str | Failure:
+        """Return a valid action."""
+        try:
+            return self._runner(number).sample_random_action(seed, agent)
+        except Exception as error:  # noqa: BLE001 - raised again in the program
+            return Failure.of(error, "sample_random_action")
+
+    def close_env(self, number: int) -> None:
+        """Close an environment."""
+        self._runners.pop(number).close()
 
     def close(self) -> int:
         """Close all environments at once; return how many had not closed after some seconds."""
@@ -74,55 +124,12 @@ class WorkerLoop:
             self._runners[number] = EnvRunner(self._setup.make)
         return self._runners[number]
 
-    def _reset(
-        self,
-        runner: EnvRunner,
-        env_id: str | None,
-        kwargs: Mapping[str, Any],
-        record: bytes | None,
-        seed: int,
-        options: Mapping[str, Any] | None,
-        describe: bool,
-    ) -> Any:
-        if failure := self._make(runner, env_id, kwargs, record):
-            return failure
-        described = runner.describe() if describe else None
-        try:
-            pickle.dumps(described)
-        except Exception:  # noqa: BLE001 - as above; then in the form that a file of episodes has
-            described = to_plain(described)
-        outcome = runner.reset(seed, options)
-        return outcome if isinstance(outcome, Failure) else (outcome, described)
-
-    def _apply(
-        self,
-        runner: EnvRunner,
-        env_id: str | None,
-        kwargs: Mapping[str, Any],
-        record: bytes | None,
-        function: Callable[..., Any],
-        args: tuple[Any, ...],
-    ) -> Any:
-        if runner.env is None and (failure := self._make(runner, env_id, kwargs, record)):
-            return failure
-        try:
-            return runner.apply(function, *args)
-        except Exception as error:  # noqa: BLE001 - raised again in the program
-            return Failure.of(error, getattr(function, "__name__", "a question"))
-
     def _make(
         self, runner: EnvRunner, env_id: str | None, kwargs: Mapping[str, Any], record: bytes | None
     ) -> Failure | None:
         if record is not None and env_id not in self._setup.records:
             self._setup.records[str(env_id)] = pickle.loads(record)
         return runner.make(env_id, kwargs)
-
-    @staticmethod
-    def _sample(runner: EnvRunner, seed: int | None, agent: str | None) -> Any:
-        try:
-            return runner.sample_random_action(seed, agent)
-        except Exception as error:  # noqa: BLE001 - raised again in the program
-            return Failure.of(error, "sample_random_action")
 
 
 def _as_gem_error(error: BaseException) -> GemError:
