@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import pydantic
+
 from gem_core.errors import ArgumentError
 from gem_core.tools import Tool, ToolResult
 from gem_core.types import Concurrency
-
-_TEXT = {"type": "string"}
 
 
 class Distractor(Tool):
@@ -25,19 +25,10 @@ class Distractor(Tool):
     concurrency: Concurrency = "inline"
 
     def __init__(self, name: str, description: str, parameters: Mapping[str, str], answer: str) -> None:
-        self.name, self.description, self._parameters, self._answer = name, description, parameters, answer
-
-    def parameters_schema(self) -> dict[str, Any]:
-        """Return the schema of its parameters."""
-        properties = {name: {**_TEXT, "description": told} for name, told in self._parameters.items()}
-        return {"type": "object", "properties": properties, "required": list(self._parameters)}
-
-    def validate(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the arguments, if they are all there."""
-        missing = [name for name in self._parameters if not isinstance(arguments.get(name), str)]
-        if missing:
-            raise ArgumentError(f"text is wanted for {', '.join(missing)}")
-        return arguments
+        fields: Any = {each: (str, pydantic.Field(description=told)) for each, told in parameters.items()}
+        own = {"name": name, "description": description, "Parameters": pydantic.create_model("Parameters", **fields)}
+        vars(self).update(own)
+        self._answer = answer
 
     def call(self, arguments: Any, session: Any) -> ToolResult:
         """Return the answer, which helps nobody."""
