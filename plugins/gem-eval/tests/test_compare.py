@@ -100,6 +100,11 @@ def test_tasks_that_cannot_differ_are_left_out_of_the_correction(tmp_path: Path)
     assert [(each.p_holm, each.significant) for each in found.tasks[:2]] == [(2 / 2**7, True), (1.0, False)]
     assert "corrected by Holm for 1 test (25 more cannot reach 0.05" in call(*paths).stdout
     assert (found.overall.id, found.overall.rows, found.overall.only_b) == ("all", 57, 7)
+    both = [
+        write_index(tmp_path / f"{solved} twice", [*verdicts(solved * 7, id="t:A"), *verdicts(solved * 7, id="t:B")])
+        for solved in "01"
+    ]
+    assert [each.shown_p for each in gem_eval.compare(*both).tasks] == [4 / 2**7] * 2
     flip = found.flips[1]
     assert (flip.row, flip.episode_a.number, flip.episode_b.number) == ("t:A/1", 2, 2)
     assert f"gem show {paths[0]} 2; gem show {paths[1]} 2" in call(*paths).stdout

@@ -165,6 +165,10 @@ def test_a_judge_is_asked_several_times_and_its_agreement_told(played: Path) -> 
     assert (found.agreement.items, found.agreement.share) == (6, pytest.approx(1 / 3))
     assert found.tasks[0].new is not None
     assert found.tasks[0].new.mean == pytest.approx(2 / 3)
+    # The verdict is that of most repeats; of as many, there is none.
+    assert [each.new for each in found.changed] == [True] * sum(row.success is False for row in found.run.rows)
+    model = Examiner("VERDICT: PASS", "VERDICT: FAIL")
+    assert gem_eval.score(played, model_judge(model), repeat=2, max_concurrency=1, name="tie").changed == []
     assert found.graded[1, 0].note == "Fine.\nVERDICT: PASS"
 
 
