@@ -10,7 +10,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from gem_core.records import to_plain
-from gem_eval.filters import parse_comparison
+from gem_eval.filters import Comparison, parse_comparison
 from gem_eval.show.text import escaped
 from gem_eval.turns import outcome_of_row
 
@@ -106,13 +106,10 @@ class Query:
             wanted = [OUTCOMES[name] for name in self.outcomes if name in OUTCOMES]
             yield lambda row: any(test(row) for test in wanted)
         for name, values in self.names:
-            # A page knows only what is escaped.
-            yield lambda row, name_of=NAMES[name], values=frozenset(values): escaped(name_of(row)) in values  # type: ignore[misc]
+            yield _named(NAMES[name], frozenset(values))
         for name, text in self.numbers:
-            for comparison in map(parse_comparison, filter(str.strip, text.split(","))):
-                yield lambda row, value_of=NUMBERS[name], holds=comparison: (  # type: ignore[misc]
-                    (value := value_of(row)) is not None and holds(value)
-                )
+            for comparison in filter(str.strip, text.split(",")):
+                yield _compared(NUMBERS[name], parse_comparison(comparison))
         if self.text:
             sought = self.text.casefold()
             yield lambda row: sought in _searched(row).casefold()
@@ -134,6 +131,14 @@ class Query:
         without = [place for place, value in enumerate(values) if value is None or value != value]
         known.sort(key=values.__getitem__, reverse=self.reverse)
         return [found[place] for place in known + without]
+
+
+def _named(name_of: Callable[[Row], str], names: frozenset[str]) -> Callable[[Row], bool]:
+    return lambda row: escaped(name_of(row)) in names  # a page knows only what is escaped
+
+
+def _compared(value_of: Callable[[Row], float | None], holds: Comparison) -> Callable[[Row], bool]:
+    return lambda row: (value := value_of(row)) is not None and holds(value)
 
 
 def _searched(row: Row) -> str:
