@@ -11,7 +11,6 @@ from toys import CountdownEnv
 import gem_core as gem
 from gem_core.errors import (
     ArgumentError,
-    EnvFaultError,
     FaultBudgetError,
     ResetNeededError,
     UnknownBackendError,
@@ -79,19 +78,6 @@ def test_step_before_reset_is_refused() -> None:
     """The error says what to call."""
     with pytest.raises(ResetNeededError, match=r"call reset\(\) before the first step\(\)"):
         make().step(["a", "b"])
-
-
-def test_autoreset_loses_nothing_of_the_finished_episode() -> None:
-    """The new episode's first observation comes with the last one of the old."""
-    vector = make(1, plan=lasting(1, 2))
-    vector.reset()
-    step = vector.step(["yes!"])
-    assert step.observations == ["Count down.\nLeft: 1."]
-    assert (step.rewards[0], step.terminated[0], step.truncated[0]) == (1.0, True, False)
-    info = step.infos[0]
-    assert info["final_obs"] == "You said 'yes!'.\nLeft: 0."
-    assert info["final_info"]["correct"] is True
-    assert info["feedback"] == "Count down.\n"
 
 
 def test_exhausted_plan_leaves_the_slot_idle() -> None:
@@ -166,21 +152,6 @@ def test_groups_share_a_start_and_are_named() -> None:
     assert len({vector.sample_random_action(slot) for slot in range(4)}) > 1
 
 
-def test_fault_in_step_truncates_that_slot_and_the_batch_goes_on() -> None:
-    """Reward 0, the error in the final info, and a fresh environment."""
-    vector = make(2, plan=[gem.PlanItem(kwargs={"fail": "step"}), *lasting(3, 2)])
-    vector.reset()
-    step = vector.step(["a", "b"])
-    assert step.rewards.tolist() == [0.0, 1.0]
-    assert step.truncated.tolist() == [True, False]
-    info = step.infos[0]
-    assert info["final_obs"] == gem.TERMINAL_STATE
-    error = info["final_info"]["error"]
-    assert (error["kind"], error["message"]) == ("exception", "step raised RuntimeError: broken in step")
-    assert step.observations == ["Count down.\nLeft: 3.", "You said 'b'.\nLeft: 2."]
-    assert vector.faults == 1
-
-
 def test_fault_in_reset_uses_its_plan_item_up() -> None:
     """It is listed with what it should have started from, and the next item begins."""
     vector = make(1, plan=[gem.PlanItem(kwargs={"fail": "reset"}), *lasting(3, 1)])
@@ -189,15 +160,6 @@ def test_fault_in_reset_uses_its_plan_item_up() -> None:
     failed = infos[0]["failed_resets"]
     assert [entry["key"] for entry in failed] == ["0"]
     assert failed[0]["error"]["message"] == "reset raised RuntimeError: broken in reset"
-
-
-@pytest.mark.parametrize("where", ["reset", "step"])
-def test_system_exit_of_an_environment_is_contained(where: str) -> None:
-    """An environment cannot end the program."""
-    vector = make(1, plan=[gem.PlanItem(kwargs={"fail": f"exit in {where}"}), *lasting(3, 1)])
-    vector.reset()
-    vector.step(["a"])
-    assert vector.faults == 1
 
 
 def test_faults_without_end_stop_with_one_clear_error() -> None:
@@ -215,22 +177,9 @@ def test_faults_without_end_stop_with_one_clear_error() -> None:
     assert vector.faults == 40
 
 
-def test_errors_that_an_environment_reports_spend_the_budget_too() -> None:
-    """A dead engine stops the run instead of filling it with errors."""
-
-    class Unreachable(CountdownEnv):
-        def step(self, action: str) -> Any:
-            return gem.TERMINAL_STATE, 0.0, False, True, {"error": {"kind": "engine", "message": "it is down"}}
-
-    vector = gem.VectorEnv.from_env(Unreachable(), seed=0)
-    vector.reset()
-    for _ in range(16):
-        vector.step(["a"])
-    with pytest.raises(FaultBudgetError, match="it is down"):
-        vector.step(["a"])
-
-
-@pytest.mark.parametrize("error", ["out of order", {"kind": "out of order"}])
+@pytest.mark.parametrize(
+    "error", ["out of order", {"kind": "out of order"}, {"kind": "engine", "message": "out of order"}]
+)
 def test_a_reported_error_of_any_form_spends_the_budget(error: Any) -> None:
     """A plain text is one too, and one without a message is shown whole."""
 
@@ -246,36 +195,13 @@ def test_a_reported_error_of_any_form_spends_the_budget(error: Any) -> None:
         vector.step(["a"])
 
 
-def test_on_error_raise_shows_where_it_fails() -> None:
-    """For debugging, with the cause attached."""
-    vector = make(1, fail="step", on_error="raise")
-    vector.reset()
-    with pytest.raises(EnvFaultError, match="step raised RuntimeError: broken in step") as caught:
-        vector.step(["a"])
-    assert isinstance(caught.value.__cause__, RuntimeError)
-
-
-@pytest.mark.parametrize(
-    ("result", "message"),
-    [
-        (("a", 0.0, False, False), "step must return"),
-        (("a", float("nan"), False, False, {}), "the reward must be a finite number"),
-        (("a", "x", False, False, {}), "the reward must be a finite number, not 'x'"),
-        (("a", 0.0, False, False, None), "info must be a dictionary"),
-        (None, "step must return"),
-        ((None, 0.0, False, False, {}), "an observation must be text or a list, not NoneType"),
-    ],
-)
-def test_results_that_are_none_are_faults(result: Any, message: str) -> None:
-    """A malformed result is the environment's fault, not a reward."""
-
-    class Odd(CountdownEnv):
-        def step(self, action: str) -> Any:
-            return result
-
-    vector = gem.VectorEnv.from_env(Odd(), seed=0)
-    vector.reset()
-    assert message in vector.step(["a"]).infos[0]["final_info"]["error"]["message"]
+@pytest.mark.parametrize("where", ["reset", "step"])
+def test_malformed_results_are_faults(where: str) -> None:
+    """Also of an environment that ``make`` did not make."""
+    env = CountdownEnv()
+    setattr(env, where, lambda *args, **kwargs: None)
+    (episode,) = gem.rollout(env, lambda observation: "a", plan=lasting(1, 1))
+    assert episode.error["message"].startswith(f"{where} raised TypeError: {where} must return")
 
 
 def test_what_cannot_be_right_is_raised_at_once() -> None:
@@ -337,19 +263,6 @@ def test_close_closes_every_environment_and_may_be_called_again() -> None:
     assert env.closed == 1
 
 
-def test_an_environment_that_cannot_be_closed_holds_nothing_up(caplog: pytest.LogCaptureFixture) -> None:
-    """It is given up, and a warning says so."""
-
-    class Stuck(CountdownEnv):
-        def close(self) -> None:
-            raise OSError("stuck")
-
-    vector = gem.VectorEnv.from_env(Stuck(), seed=0)
-    vector.reset()
-    vector.close()
-    assert "closing an environment failed" in caplog.text
-
-
 def test_tasks_of_a_data_set_are_counted() -> None:
     """Other environments have no number of tasks."""
     vector = gem.make_vec(["toy:Sums-v0", COUNTDOWN])
@@ -384,28 +297,6 @@ def test_slots_may_be_whole_numbers_of_numpy() -> None:
     assert vector.step({slot: "a" for slot in np.flatnonzero([False, True])}).rewards.tolist() == [1.0]
 
 
-@pytest.mark.parametrize(
-    ("result", "message"),
-    [
-        (None, "reset must return (observation, info), not None"),
-        ("ab", "reset must return (observation, info), not 'ab'"),
-        ((3, {}), "an observation must be text or a list, not int"),
-        (("a", None), "info must be a dictionary, not NoneType"),
-    ],
-)
-def test_resets_that_are_none_are_faults(result: Any, message: str) -> None:
-    """What no reader of the episode could take is not recorded."""
-
-    class Odd(CountdownEnv):
-        def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-            super().reset(seed=seed)
-            return result
-
-    vector = gem.VectorEnv.from_env(Odd(), seed=0)
-    (episode,) = gem.rollout(vector, lambda observation: "a", plan=lasting(1, 1))
-    assert episode.error["message"] == f"reset raised TypeError: {message}"
-
-
 def test_dictionary_that_an_environment_uses_again_changes_no_record() -> None:
     """Each turn keeps the info that it had."""
 
@@ -424,13 +315,3 @@ def test_dictionary_that_an_environment_uses_again_changes_no_record() -> None:
 
     (episode,) = gem.rollout(Sharing(), lambda observation: "a", plan=lasting(3, 1))
     assert [episode.info["left"], *(turn.info["left"] for turn in episode.transitions)] == [3, 2, 1, 0]
-
-
-def test_slot_that_an_error_left_empty_is_not_idle() -> None:
-    """Whoever goes on after the error is told to reset."""
-    vector = make(1, fail="step", on_error="raise")
-    vector.reset()
-    with pytest.raises(EnvFaultError):
-        vector.step(["a"])
-    with pytest.raises(ResetNeededError, match="slot 0 has no environment since an error was raised"):
-        vector.step(["a"])

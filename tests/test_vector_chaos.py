@@ -1,8 +1,4 @@
-"""Faults injected at random in all backends, with a checker that every episode is accounted for exactly once.
-
-The default run takes seconds. ``GEM_CHAOS_S=300 pytest tests/test_vector_chaos.py`` goes on for minutes with new seeds,
-and ``GEM_CHAOS_SEED=17`` begins with the one that a failure named.
-"""
+"""Faults injected at random in all backends, with a checker that every episode is accounted for exactly once."""
 
 from __future__ import annotations
 
@@ -12,16 +8,15 @@ import gc
 import os
 import random
 import signal
-import sys
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, TextIO, cast
+from typing import Any, NamedTuple
 
 import pytest
 import vector_envs
-from vector_envs import ASYNC, INLINE, KINDS, LUCKY, LUCKY_THREAD, PROCESS, THREAD
+from vector_envs import ASYNC, INLINE, KINDS, PROCESS, THREAD
 
 import gem_core as gem
 from gem_core.background import background_loop
@@ -29,9 +24,6 @@ from gem_core.errors import EnvFaultError
 from gem_core.records.plans import PlanItem
 from gem_core.rollouts.agent import Context
 from gem_core.vector.slot import FaultBudget
-
-SOAK_S = float(os.environ.get("GEM_CHAOS_S", "0"))
-FIRST_SEED = int(os.environ.get("GEM_CHAOS_SEED", "1"))
 
 MILD = ["raise", "mute", "panic", "quit", "cancel", "recurse", "nothing", "no reward", "nan", "reported", "unpicklable"]
 DEADLY = ["exit", "kill", "one way", "children", "memory"]
@@ -57,12 +49,12 @@ class Home(NamedTuple):
 
 
 HOMES = {
-    "sync": Home("sync", [INLINE, LUCKY]),
+    "sync": Home("sync", [INLINE]),
     "async": Home("async", [INLINE, THREAD, ASYNC]),
     "async with a time limit": Home("async", [THREAD, ASYNC], timeout=0.5),
-    "process": Home(("process", {"workers": 2}), [*KINDS, LUCKY], deadly=frozenset([*KINDS, LUCKY]), timeout=0.5),
+    "process": Home(("process", {"workers": 2}), [*KINDS], deadly=frozenset(KINDS), timeout=0.5),
     "process in place": Home(("process", {"workers": 2}), [INLINE, PROCESS], deadly=frozenset([INLINE, PROCESS])),
-    "auto": Home(("auto", {"workers": 2}), [*KINDS, LUCKY_THREAD], deadly=frozenset([INLINE, PROCESS]), timeout=0.5),
+    "auto": Home(("auto", {"workers": 2}), [*KINDS], deadly=frozenset([INLINE, PROCESS]), timeout=0.5),
 }
 
 
@@ -218,15 +210,14 @@ class Round:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(chance.choice(pids), signal.SIGKILL)
 
-    def run(self, driver: str) -> Counter[str]:
+    def run(self, driver: str) -> None:
         saboteur = threading.Thread(target=self.sabotage, name="saboteur")
         saboteur.start()
         came: Counter[tuple[str, int]] = Counter()
-        errors: Counter[str] = Counter()
         try:
             for episode in getattr(self, driver)():
                 came[episode.key, episode.repeat] += 1
-                errors[self.checked(episode)] += 1
+                self.check(episode)
         finally:
             self.over.set()
             saboteur.join()
@@ -234,17 +225,16 @@ class Round:
             vector_envs.HUNG.set()
             vector_envs.HUNG.clear()
         assert came == self.expected
-        return errors
 
-    def checked(self, episode: gem.Episode) -> str:
-        """Replay an episode alone; return the kind of its error."""
+    def check(self, episode: gem.Episode) -> None:
+        """Replay an episode alone."""
         error = episode.error
         whole = list(episode.transitions)
         if error is not None:
             assert isinstance(error, dict)
             assert error["kind"] in KINDS_OF_ERRORS, error
             if not whole:
-                return str(error["kind"])
+                return
             del whole[-1]
         env = gem.make(INLINE)
         options = dict(episode.options) if episode.options else None
@@ -258,8 +248,6 @@ class Round:
         if error is None:
             assert episode.final_observation == observation
             assert whole[-1].terminated or whole[-1].truncated
-            return ""
-        return str(error["kind"])
 
 
 def threads() -> list[str]:
@@ -292,29 +280,15 @@ def is_gone(pid: int) -> bool:
 def test_every_episode_is_accounted_for_exactly_once(home: str, driver: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each is right to the letter, or marked with an error; and nothing is left behind."""
     monkeypatch.setattr(FaultBudget, "note", lambda *args: None)  # it is the accounting that is looked at here
-    until = time.monotonic() + SOAK_S / (4 * len(HOMES))
-    seed = FIRST_SEED
-    errors: Counter[str] = Counter()
     with gem.make_vec(THREAD, backend="process", seed=0) as warm:
         warm.reset()
     background_loop()
     eventually(lambda: not threads())
     files = len(os.listdir("/proc/self/fd"))
-    while True:
-        attempt = Round(seed, HOMES[home], items=16 if seed == FIRST_SEED else 60)
-        try:
-            errors += attempt.run(driver)
-        except BaseException as error:
-            error.add_note(f"seed {seed}")
-            raise
-        pids = attempt.pids
-        del attempt
-        assert eventually(lambda: not threads()), (seed, threads())
-        assert eventually(lambda pids=pids: all(map(is_gone, pids))), seed
-        assert eventually(lambda: len(os.listdir("/proc/self/fd")) <= files), seed
-        seed += 1
-        if time.monotonic() >= until:
-            break
-    if SOAK_S:
-        text = f"{home}, {driver}: {seed - FIRST_SEED} rounds, episodes by the kind of their error: {dict(errors)}\n"
-        cast("TextIO", sys.__stderr__).write(text)
+    attempt = Round(1, HOMES[home], items=16)
+    attempt.run(driver)
+    pids = attempt.pids
+    del attempt
+    assert eventually(lambda: not threads()), threads()
+    assert eventually(lambda: all(map(is_gone, pids)))
+    assert eventually(lambda: len(os.listdir("/proc/self/fd")) <= files)

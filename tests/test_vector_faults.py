@@ -98,13 +98,6 @@ def test_whatever_a_step_raises_or_returns_is_contained_in_a_worker_too() -> Non
     vector.close()
 
 
-def test_info_that_cannot_leave_its_worker_is_a_fault() -> None:
-    """The message says why."""
-    error, vector = stepped(INLINE, "process", "unpicklable")
-    vector.close()
-    assert error["message"] == "its result cannot be sent to another process: TypeError: no pickle of rubbish"
-
-
 @pytest.mark.parametrize(("env_id", "backend"), [(THREAD, "async"), (ASYNC, "async")])
 def test_interrupt_that_an_environment_raises_in_a_thread_is_its_own_fault(env_id: str, backend: str) -> None:
     """The user's comes to the main thread alone."""

@@ -410,24 +410,6 @@ def test_closing_ends_a_step_that_waits() -> None:
     asyncio.run(run())
 
 
-def test_waiting_blocks_no_loop() -> None:
-    """Something else goes on while a batch is awaited."""
-
-    async def run() -> None:
-        vector = gem.make_vec(THREAD, 2, backend="async", seed=1, length=9)
-        await vector.reset_async()
-        hold([-1, 0, 1])
-        step = asyncio.create_task(vector.step_async(["0@gate", "1@gate"]))
-        for _ in range(5):
-            await asyncio.sleep(0)
-        assert not step.done()
-        release()
-        assert (await step).infos[1]["path"] == ["1@gate"]
-        vector.close()
-
-    asyncio.run(run())
-
-
 @pytest.mark.parametrize("env_id", [THREAD, ASYNC, PROCESS])
 def test_waiting_on_the_librarys_own_loop_is_an_error(env_id: str) -> None:
     """It would wait for itself; coroutines work there."""

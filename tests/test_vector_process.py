@@ -254,24 +254,6 @@ def test_environments_are_closed_when_their_vector_environment_is_dropped(tmp_pa
     assert eventually(lambda: not any(map(is_alive, pids)))
 
 
-# What they are started from.
-
-
-def test_workers_start_beside_many_threads_that_hold_locks() -> None:
-    """Nothing is forked, so no lock is taken along."""
-    held, begin = threading.Lock(), threading.Event()
-    threads = [threading.Thread(target=lambda: held.acquire(timeout=0) or begin.wait(LONGEST_S)) for _ in range(64)]
-    for thread in threads:
-        thread.start()
-    try:
-        with gem.make_vec(INLINE, 2, backend="process", seed=1) as vector:
-            assert len(vector.reset()[0]) == 2
-    finally:
-        begin.set()
-        for thread in threads:
-            thread.join()
-
-
 # What they move.
 
 
@@ -503,14 +485,3 @@ def test_plan_is_covered_when_workers_take_turns_to_die() -> None:
     keys = [(int(one.key), one.error is None) for one in gem.rollout(vector, lambda observation: "a", plan=plan)]
     assert sorted(keys) == [(key, key % 5 != 2) for key in range(20)]
     vector.close()
-
-
-def test_an_environment_that_closes_late_leaves_its_successor_alone() -> None:
-    """The next environment of a slot may have begun by then."""
-    pool = WorkerPool(VectorSetup.of(INLINE, 1, seed=3), HereWorker, 1)
-    first, second = (pool.make(0, INLINE, {}) for _ in range(2))
-    first.reset(seed=1)
-    second.reset(seed=1)
-    first.close()
-    assert not second.step("a")[3]
-    pool.close()

@@ -32,9 +32,6 @@ CANCELLED = threading.Event()
 INLINE, THREAD, PROCESS, ASYNC = KINDS = tuple(
     f"vt:Walk-v0-{kind}" for kind in ("inline", "thread", "process", "async")
 )
-LUCKY = "vt:Lucky-v0"
-"""Registered as not deterministic, so that its episodes are not replayed."""
-LUCKY_THREAD = "vt:Lucky-v0-thread"
 MISSING = "vt:Missing-v0"
 """Its entry point cannot be imported."""
 IMAGES = "vt:Images-v0"
@@ -190,10 +187,6 @@ class AsyncWalkEnv(gem.AsyncEnv, WalkEnv):
         return self._stepped(action)
 
 
-class LuckyWalkEnv(WalkEnv):
-    """The walk, registered as one that cannot be replayed."""
-
-
 class ImagesEnv(gem.Env):
     """Gives long texts and images back."""
 
@@ -314,8 +307,6 @@ def register_vector_envs() -> None:
     classes = (WalkEnv, ThreadWalkEnv, ProcessWalkEnv, AsyncWalkEnv)
     for env_id, cls in zip(KINDS, classes, strict=True):
         gem.register(env_id, f"{here}:{cls.__name__}")
-    gem.register(LUCKY, f"{here}:LuckyWalkEnv", deterministic=False)
-    gem.register(LUCKY_THREAD, f"{here}:ThreadWalkEnv", deterministic=False)
     gem.register(MISSING, "vector_envs_that_are_not_there:Env")
     gem.register(IMAGES, f"{here}:ImagesEnv")
 
