@@ -64,7 +64,6 @@ class PlaySession:
         summary: Of the environment.
         writer: Where finished episodes are recorded, with images beside them; None for nowhere.
         seat: The person's seat in a game of several agents.
-        begun: What an episode started from, and its first turns: each episode goes on from there.
     """
 
     env: AnyEnv
@@ -75,7 +74,6 @@ class PlaySession:
     summary: str = ""
     writer: EpisodeWriter | None = None
     seat: str | None = None
-    begun: tuple[EpisodeStart, Sequence[Transition]] | None = None
     reads = "observation"
 
     def __post_init__(self) -> None:
@@ -100,7 +98,7 @@ class PlaySession:
         """
         asks = episodes is None and self._terminal.interactive
         for self._number in itertools.count(1):
-            start = cast("EpisodeStart", self._starts.draw(0)) if self.begun is None else self.begun[0]
+            start = cast("EpisodeStart", self._starts.draw(0))
             self._restart()
             try:
                 episode = self._play_out(start)
@@ -154,7 +152,7 @@ class PlaySession:
         return episode
 
     def _restart(self) -> None:
-        self._repeated, self._show = () if self.begun is None else self.begun[1], self._show_opening
+        self._repeated, self._show = (), self._show_opening
 
     # Turns.
 
