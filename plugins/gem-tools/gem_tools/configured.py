@@ -14,7 +14,7 @@ class ConfiguredTool(Tool):
     """A tool with the options ``name``, ``description`` and ``instructions``."""
 
     _make: Callable[..., Any]
-    _options: Mapping[str, Any]
+    _options: Mapping[str, Any] = {}
 
     def configured(self, make: Callable[..., Any], options: Mapping[str, Any]) -> Self:
         """Note how the tool was made, and what the agent is told of it.

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 
 from gem_core import RequirementStatus
-
-_PROBE_S = 2.0
+from gem_core.errors import GemError
 
 
 def bubblewrap(_: str, *, closely: bool = False) -> RequirementStatus:
-    """Tell whether bubblewrap is installed; looked at closely, whether a sandbox starts."""
+    """Tell whether bubblewrap is installed; looked at closely, whether a sandbox of the Python tool starts."""
     if shutil.which("bwrap") is None:
         advice = "it needs bubblewrap: install the package 'bubblewrap' of your system"
         return RequirementStatus("unmet", "the command 'bwrap' is not on the PATH", advice)
     if not closely:
         return RequirementStatus("met", "is on the PATH")
-    command = ["bwrap", "--unshare-all", "--ro-bind", "/", "/", "true"]
+    from gem_tools.python.pool import Pool
+
+    pool = Pool("bubblewrap", num_workers=1)
     try:
-        done = subprocess.run(command, capture_output=True, timeout=_PROBE_S, check=False)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return RequirementStatus("unmet", f"it does not start ({type(error).__name__})", "reinstall bubblewrap")
-    if done.returncode:
-        reason = " ".join(done.stderr.decode(errors="replace").split())[:120]
-        return RequirementStatus("unmet", f"it fails: {reason}", "allow unprivileged user namespaces on this system")
+        pool.start()
+    except GemError as error:
+        return RequirementStatus("unmet", f"no sandbox starts: {error}", "allow unprivileged user namespaces here")
+    finally:
+        pool.close()
     return RequirementStatus("met", "a sandbox starts")

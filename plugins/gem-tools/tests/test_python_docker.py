@@ -73,12 +73,12 @@ def test_calls_and_sessions(running: Pool) -> None:
     assert session.run("x, open('kept').read()").value == "(1, 'y')"
     session.close()
     assert running.chosen is not None
-    assert running.chosen.note == f"image {image()}, each call as a user of its own"
+    assert running.chosen.note == f"image {image()}"
 
 
 def test_code_yields_the_processor_to_the_watch_over_its_limits() -> None:
     """Many processes of one call would else hold up the only process that looks at their memory."""
-    assert pool_of("docker").run("import os; os.getpriority(os.PRIO_PROCESS, 0)").value == "19"
+    assert pool_of("docker").run("import os; os.getpriority(os.PRIO_PROCESS, 0)", value=True).value == "19"
 
 
 def test_nothing_can_be_written_but_the_folder(running: Pool) -> None:

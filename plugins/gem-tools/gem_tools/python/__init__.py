@@ -10,35 +10,14 @@ The pool is there for other plugins too::
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
-
 from gem_core.errors import refuse_windows
-
-if TYPE_CHECKING:
-    from gem_tools.python.errors import SandboxError
-    from gem_tools.python.limits import Limits
-    from gem_tools.python.outcome import Outcome
-    from gem_tools.python.pool import Pool, Session, shared_pool
-    from gem_tools.python.tool import PythonTool, make_python
 
 refuse_windows("the tool 'python'")
 
+from gem_tools.python.errors import SandboxError  # noqa: E402 - what follows needs what Windows lacks
+from gem_tools.python.limits import Limits  # noqa: E402
+from gem_tools.python.outcome import Outcome  # noqa: E402
+from gem_tools.python.pool import Pool, Session, shared_pool  # noqa: E402
+from gem_tools.python.tool import PythonTool, make_python  # noqa: E402
+
 __all__ = ["Limits", "Outcome", "Pool", "PythonTool", "SandboxError", "Session", "make_python", "shared_pool"]
-
-_HOMES = {
-    "Limits": "limits",
-    "Outcome": "outcome",
-    "Pool": "pool",
-    "PythonTool": "tool",
-    "SandboxError": "errors",
-    "Session": "pool",
-    "make_python": "tool",
-    "shared_pool": "pool",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)

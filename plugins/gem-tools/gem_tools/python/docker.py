@@ -29,7 +29,7 @@ _START = 'exec env -i "PATH=$PATH" "$@"'
 # Places that are writable for all by themselves, where a call could leave something for another to read.
 _CLOSE = "chmod 0711 /tmp; chmod 0700 /dev/mqueue; "
 # What the keeper needs to run each call as a user of its own, to look at its memory, and to clear up after it.
-_POWERS = ("SETUID", "SETGID", "KILL", "CHOWN", "DAC_OVERRIDE", "FOWNER", "SYS_PTRACE")
+POWERS = ("SETUID", "SETGID", "KILL", "CHOWN", "DAC_OVERRIDE", "FOWNER", "SYS_PTRACE")
 
 # As Docker, and Podman, say so.
 _NO_IMAGE = ("no such image", "no such object", "image not known")
@@ -41,7 +41,6 @@ def run_words(
     environment: Mapping[str, str],
     program: Sequence[str],
     *,
-    user: int | None,
     folder_mb: int,
     folder_files: int,
 ) -> list[str]:
@@ -52,7 +51,6 @@ def run_words(
         image: Of the container.
         environment: All that the program finds, besides the image's search path.
         program: With its arguments.
-        user: Who runs it; None for root with the rights to become others.
         folder_mb: Size of ``/tmp``, the only place to write, in megabytes.
         folder_files: Limit of the files and folders in it.
     """
@@ -61,12 +59,9 @@ def run_words(
     words += ["--network", "none", "--ipc", "none", "--read-only", "--log-driver", "none", "--cap-drop", "ALL"]
     words += ["--security-opt", "no-new-privileges", "--pids-limit", "1024", "--ulimit", "core=0"]
     words += ["--memory", _MEMORY, "--memory-swap", _MEMORY, "--workdir", "/", "--hostname", "sandbox"]
-    if user is None:
-        words += ["--user", "0:0", *(word for power in _POWERS for word in ("--cap-add", power))]
-    else:
-        words += ["--user", f"{user}:{user}"]
+    words += ["--user", "0:0", *(word for power in POWERS for word in ("--cap-add", power))]
     words += ["--tmpfs", f"/tmp:rw,exec,nosuid,nodev,mode=1777,size={folder_mb}m,nr_inodes={folder_files}"]
-    words += ["--entrypoint", "/bin/sh", image, "-c", (_CLOSE if user is None else "") + _START, "sh"]
+    words += ["--entrypoint", "/bin/sh", image, "-c", _CLOSE + _START, "sh"]
     return [*words, *(f"{name}={value}" for name, value in environment.items()), *program]
 
 

@@ -8,7 +8,7 @@ import shutil
 import sys
 import sysconfig
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -90,10 +90,6 @@ class Launch:
     container: str | None = None
 
 
-Way = Callable[[Mapping[str, Any]], Launch]
-"""Takes ``preload``, ``image``, and the default size of the folder."""
-
-
 def bootstrap(settings: Mapping[str, Any]) -> bytes:
     """Return what a sandbox reads first: the modules that run in it, as text, and its settings."""
     import json
@@ -109,33 +105,24 @@ def bootstrap(settings: Mapping[str, Any]) -> bytes:
 # Bubblewrap.
 
 
-def _bubblewrap_as_root(options: Mapping[str, Any]) -> Launch:
-    """Root sets the sandbox up, so that it may lie anywhere; code runs as a user that owns nothing."""
-    uid = _spare_uid(1)
-    if uid is None:
-        raise Unavailable("no other user id can be taken here")
-    powers = ("SYS_ADMIN", "SYS_PTRACE", "SETUID", "SETGID", "KILL", "CHOWN", "DAC_OVERRIDE", "FOWNER", "SYS_RESOURCE")
-    capabilities = [word for power in powers for word in ("--cap-add", f"CAP_{power}")]
-    settings = _settings(options, namespaces=True, uid=uid, counts="own")
-    return Launch("bubblewrap", [*_bubblewrap(), *capabilities, "--", *_venv_python()], settings)
-
-
-def _bubblewrap_as_user(options: Mapping[str, Any]) -> Launch:
-    """An ordinary user, in a user namespace."""
-    popen: dict[str, Any] = {}
+def _bubblewrap(options: Mapping[str, Any]) -> Launch:
+    """Set up by root, so that it may lie anywhere, code runs as a user that owns nothing; else in a user namespace."""
     if os.geteuid() == 0:
         uid = _spare_uid(1)
         if uid is None:
             raise Unavailable("no other user id can be taken here")
-        popen = {"user": uid, "group": uid, "extra_groups": []}
-    user = ["--unshare-user", "--uid", "1000", "--gid", "1000", "--cap-add", "CAP_SYS_ADMIN"]
-    # To see how much of their memory processes share.
-    user += ["--cap-add", "CAP_SYS_PTRACE"]
-    settings = _settings(options, namespaces=True, uid=None, counts="own")
-    return Launch("bubblewrap", [*_bubblewrap(), *user, "--", *_venv_python()], settings, popen)
+        powers = ("SYS_ADMIN", "SYS_PTRACE", "SETUID", "SETGID", "KILL", "CHOWN", "DAC_OVERRIDE", "FOWNER")
+        rights = [word for power in (*powers, "SYS_RESOURCE") for word in ("--cap-add", f"CAP_{power}")]
+    else:
+        uid = None
+        # The second right is to see how much of their memory processes share.
+        rights = ["--unshare-user", "--uid", "1000", "--gid", "1000", "--cap-add", "CAP_SYS_ADMIN"]
+        rights += ["--cap-add", "CAP_SYS_PTRACE"]
+    settings = _settings(options, namespaces=True, uid=uid)
+    return Launch("bubblewrap", [*_bubblewrap_words(), *rights, "--", *_venv_python()], settings)
 
 
-def _bubblewrap() -> list[str]:
+def _bubblewrap_words() -> list[str]:
     program = shutil.which("bwrap")
     if program is None:
         raise Unavailable("bubblewrap is not on the PATH: install the package 'bubblewrap' of your system")
@@ -212,32 +199,22 @@ def _venv_python() -> list[str]:
 # Docker.
 
 
-def _docker_as_root(options: Mapping[str, Any]) -> Launch:
+def _docker(options: Mapping[str, Any]) -> Launch:
     """Root of the container, with few of its rights, runs each call as a user of its own."""
-    first, uids = 1_000_000_000 + secrets.randbelow(1_000_000) * 1000, 1000
-    note = "each call as a user of its own"
-    return _docker(options, None, note, uid=first, uids=uids, counts="own")
-
-
-def _docker_as_user(options: Mapping[str, Any]) -> Launch:
-    """One user for all calls of a container, where an engine has few users to give, as one without root's rights."""
-    return _docker(options, 10_000 + secrets.randbelow(50_000), "all calls as one user", uid=None, counts="shared")
-
-
-def _docker(options: Mapping[str, Any], user: int | None, note: str, **further: Any) -> Launch:
     name = docker.new_name()
     words = docker.run_words(
         name,
         options["image"],
         {key: value for key, value in _ENVIRONMENT.items() if key != "PATH"},
         ["python3", *_OPTIONS, "-c", _BOOT],
-        user=user,
         folder_mb=4 * options["folder_mb"],
         folder_files=4 * options["folder_files"],
     )
-    settings = _settings(options, namespaces=False, base=f"/tmp/gem-{secrets.token_hex(8)}", **further)
-    settings["own_machine"] = True
-    return Launch("docker", words, settings, container=name, note=f"image {options['image']}, {note}")
+    # The kernel counts the processes of a user in all containers together; engines without root's rights have 65,536.
+    first, uids = 10_000 + secrets.randbelow(50) * 1000, 1000
+    base = f"/tmp/gem-{secrets.token_hex(8)}"
+    settings = _settings(options, namespaces=False, uid=first, uids=uids, base=base, own_machine=True)
+    return Launch("docker", words, settings, container=name, note=f"image {options['image']}")
 
 
 # A process with limits.
@@ -251,10 +228,7 @@ def _process(options: Mapping[str, Any]) -> Launch:
     uid = _spare_uid(uids + 1) if os.geteuid() == 0 else None
     hidden, shown = _to_hide() if uid is not None else ("", [])
     base = os.path.join(tempfile.gettempdir(), f"gem-python-{os.getpid()}-{secrets.token_hex(8)}")
-    counts = "own" if uid is not None else "shared"
-    settings = _settings(
-        options, namespaces=False, uid=uid, counts=counts, base=base, uids=uids, hidden=hidden, shown=shown
-    )
+    settings = _settings(options, namespaces=False, uid=uid, base=base, uids=uids, hidden=hidden, shown=shown)
     popen = {"env": _ENVIRONMENT, "cwd": "/"}
     note = "each call as a user of its own" if uid is not None else "as your own user"
     return Launch("process", [sys.executable, *_OPTIONS, "-c", _BOOT], settings, popen, base, note)
@@ -283,24 +257,23 @@ def _to_hide() -> tuple[str, list[str]]:
 # All levels.
 
 
-def _settings(
-    options: Mapping[str, Any], *, namespaces: bool, uid: int | None, counts: str, **further: Any
-) -> dict[str, Any]:
-    return {
+def _settings(options: Mapping[str, Any], *, namespaces: bool, uid: int | None, **further: Any) -> dict[str, Any]:
+    """Return what the keeper inside is told of its level.
+
+    ``namespaces``: calls are kept apart by these. ``uid`` and ``uids``: the first of the users that code runs as, and
+    how many there are. ``same_user``: code runs as the user of all else. ``own_machine``: all that runs there is of the
+    sandbox. ``base``: folder that holds those of calls. ``hidden`` and ``shown``: see ``confine.hide``.
+    """
+    same_user = not namespaces and uid is None
+    table: dict[str, Any] = {
         "namespaces": namespaces,
         "uid": uid,
         "uids": 1,
-        "counts": counts,
-        "same_user": not namespaces and uid is None,
+        "same_user": same_user,
         "own_machine": False,
-        "base": "",
-        "hidden": "",
-        "shown": [],
-        "preload": list(options["preload"]),
-        "folder_mb": options["folder_mb"],
-        "folder_files": options["folder_files"],
-        **further,
     }
+    table |= {"base": "", "hidden": "", "shown": []}
+    return {**table, **{name: options[name] for name in ("preload", "folder_mb", "folder_files")}, **further}
 
 
 def _spare_uid(count: int) -> int | None:
@@ -315,8 +288,14 @@ def _spare_uid(count: int) -> int | None:
     return start + length - count - secrets.randbelow(100) - 1 if length > 2000 + count else None
 
 
-def ways(level: str) -> list[Way]:
-    """Return the ways to start a level, the best first."""
-    if level == "bubblewrap":
-        return [_bubblewrap_as_root, _bubblewrap_as_user] if os.geteuid() == 0 else [_bubblewrap_as_user]
-    return [_docker_as_root, _docker_as_user] if level == "docker" else [_process]
+def launch(level: str, options: Mapping[str, Any]) -> Launch:
+    """Return how one more sandbox of a level is started.
+
+    Args:
+        level: One of ``LEVELS``.
+        options: ``preload``, ``image``, and the default size of the folder.
+
+    Raises:
+        Unavailable: It cannot be started here.
+    """
+    return {"bubblewrap": _bubblewrap, "docker": _docker, "process": _process}[level](options)

@@ -21,6 +21,7 @@ from gem_core.errors import ArgumentError, StateNotSupported
 from gem_tools.python import starting
 from gem_tools.python.cell import Answer, Cell
 from gem_tools.python.errors import SandboxError
+from gem_tools.python.levels import launch
 from gem_tools.python.limits import Limits
 from gem_tools.python.outcome import Outcome, outcome_from
 
@@ -268,7 +269,7 @@ class Pool:
 
     async def _started(self, chosen: starting.Chosen) -> Cell:
         for pause_s in _PAUSES_S:
-            cell = Cell(chosen.way(self.options), self._lost)
+            cell = Cell(launch(chosen.level, self.options), self._lost)
             try:
                 await cell.start()
             except SandboxError:

@@ -17,7 +17,7 @@ from gem_core.errors import ArgumentError, MissingRequirementError
 from gem_tools.python import docker
 from gem_tools.python.cell import Cell
 from gem_tools.python.errors import SandboxError, Unavailable
-from gem_tools.python.levels import DOCKER_IMAGE, LEVELS, Way, ways
+from gem_tools.python.levels import DOCKER_IMAGE, LEVELS, launch
 from gem_tools.python.limits import Limits
 
 AUTO = "auto"
@@ -51,7 +51,6 @@ class Chosen:
 
     Args:
         level: Its name.
-        way: Returns how one more sandbox is started.
         note: What is special about it here.
         filtered: Whether system calls are filtered; a rare processor or an old kernel has no filter.
         walled: Whether Landlock keeps code to its folder; levels with namespaces do without.
@@ -60,7 +59,6 @@ class Chosen:
     """
 
     level: str
-    way: Way
     note: str
     filtered: bool
     walled: bool
@@ -115,46 +113,32 @@ async def chosen(sandbox: str, settings: Mapping[str, Any]) -> Chosen:
 
 
 async def _found(level: str, settings: Mapping[str, Any]) -> Chosen:
-    """Return a level, tried once in this process, by the first of its ways that works."""
+    """Return a level, tried once in this process: start a sandbox, ask for its Python and packages, and end it."""
     key = level, settings["image"] if level == "docker" else ""
     if level == "docker":
         # In a thread: an engine that hangs must not keep other pools waiting.
         await asyncio.to_thread(docker.check, settings["image"])
-    reasons = []
-    for way in () if key in _working else ways(level):
-        try:
-            _working[key] = await _tried(way, {**settings, "preload": ["inspect", "json", "pkgutil"]})
-            break
-        except Unavailable as reason:
-            reasons.append(str(reason))
-        except SandboxError as error:
-            reasons.append(f"{error}{_ADVICE.get(level, '')}")
-    if key not in _working:
-        raise Unavailable("; ".join(dict.fromkeys(reasons)))
-    return _working[key]
-
-
-async def _tried(way: Way, settings: Mapping[str, Any]) -> Chosen:
-    """Start a sandbox, ask for its Python and packages, and end it."""
-    launch = way(settings)
-    cell = Cell(launch)
+    if key in _working:
+        return _working[key]
+    found = launch(level, {**settings, "preload": ["inspect", "json", "pkgutil"]})
+    cell = Cell(found)
     limits = Limits(wall_s=30.0, folder_mb=settings["folder_mb"], folder_files=settings["folder_files"])
     job = json.dumps({"code": _LOOK, "files": {}, "value": False, "most": 100}).encode("ascii")
+    header = {"op": "run", "id": 0, "limits": limits.told(session=False), "input": 0}
     try:
         await cell.start()
-        answer, streams = await cell.ask({"op": "run", "id": 0, "limits": limits.told(session=False), "input": 0}, job)
+        answer, (out, err, _) = await cell.ask(header, job)
+        if answer["failed"] is not None or answer["status"] != 0:
+            raise SandboxError(f"the sandbox does not work: {answer['failed'] or (out.text() + err.text())[-600:]}")
+        version, modules = json.loads(out.text())
+    except (SandboxError, ValueError) as error:
+        raise Unavailable(f"{error}{_ADVICE.get(level, '')}") from error
     finally:
         cell.close()
         await asyncio.to_thread(cell.clear)
-    if answer["failed"] is not None or answer["status"] != 0:
-        words = " ".join(stream.text() for stream in streams[:2])[-600:]
-        raise SandboxError(f"the sandbox does not work: {answer['failed'] or words}")
-    try:
-        version, modules = json.loads(streams[0].text())
-    except ValueError as error:
-        raise SandboxError("the sandbox does not work: its Python does not print what it is told to") from error
     python = Interpreter(version, frozenset(modules))
-    return Chosen(launch.level, way, launch.note, cell.ready["filtered"], cell.ready["walled"], python)
+    _working[key] = Chosen(level, found.note, cell.ready["filtered"], cell.ready["walled"], python)
+    return _working[key]
 
 
 @functools.cache

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import pydantic
 
 from gem_core.errors import ArgumentError, GemError
-from gem_core.tools import Tool, ToolResult
+from gem_core.tools import ToolResult
+from gem_tools.configured import ConfiguredTool
 from gem_tools.python.limits import Limits
 from gem_tools.python.pool import Pool, Session, shared_pool
 from gem_tools.python.starting import interpreter
@@ -84,7 +85,7 @@ def make_python(
     Raises:
         ArgumentError: An option that cannot be right.
     """
-    options = {option: value for option, value in locals().items() if value is not None}
+    options = dict(locals())
     limits = Limits(
         wall_s=timeout_s,
         cpu_s=cpu_s,
@@ -100,12 +101,11 @@ def make_python(
         raise ArgumentError(f"traceback must be one of {', '.join(TRACEBACKS)}, not {traceback!r}")
     pool = shared_pool(sandbox, preload=tuple(preload), num_workers=num_workers, folder_mb=max_folder_mb, image=image)
     tool = PythonTool(pool, limits, persistent=persistent, traceback=traceback)
-    tool.present(name, description, instructions)
-    tool.options = options
-    return tool
+    tool.description = tool.described() if description is None else description
+    return tool.configured(make_python, options)
 
 
-class PythonTool(Tool):
+class PythonTool(ConfiguredTool):
     """Runs an agent's code.
 
     ``info["tool"]`` holds ``sandbox`` (the level), ``status``, ``exit_code``, ``wall_s`` and ``cpu_s`` of a call; and
@@ -128,24 +128,9 @@ class PythonTool(Tool):
 
     def __init__(self, pool: Pool, limits: Limits, *, persistent: bool = False, traceback: str = "last_line") -> None:
         self.pool, self.limits, self.persistent, self.traceback = pool, limits, persistent, traceback
-        self.options: dict[str, Any] = {}
-        self._instructions: str | None = None
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        # In another process the tool is made again, with sandboxes of that process.
-        return _remade, (self.options,)
-
-    def present(self, name: str, description: str | None, instructions: str | None) -> None:
-        """Set what the agent is told of the tool."""
-        for option, text in (("name", name), ("description", description), ("instructions", instructions)):
-            if text is not None and (not isinstance(text, str) or not text.strip() or "\n" in text):
-                raise ArgumentError(f"{option} must be one line of text, not {text!r}")
-        vars(self)["name"] = name
-        # A class variable of Tool; this instance has its own.
-        vars(self)["description"] = self._described() if description is None else description
-        self._instructions = instructions
-
-    def _described(self) -> str:
+    def described(self) -> str:
+        """Return what the tool does, with the Python and the packages that code finds."""
         version = packages = ""
         python = interpreter(self.pool.sandbox, self.pool.options["image"])
         if python is not None:
@@ -160,10 +145,6 @@ class PythonTool(Tool):
             wall_s=self.limits.wall_s,
             memory_mb=self.limits.memory_mb,
         )
-
-    def instructions(self) -> str:
-        """Return the line that explains the tool to an agent."""
-        return self._instructions or super().instructions()
 
     async def call(self, arguments: Any, session: Any) -> ToolResult:
         """Run the code and show its output."""
@@ -219,7 +200,3 @@ def _told(outcome: Outcome) -> dict[str, Any]:
         "dropped_bytes": outcome.dropped_bytes,
     }
     return {**told, "session_lost": True} if outcome.session_lost else told
-
-
-def _remade(options: dict[str, Any]) -> PythonTool:
-    return make_python(**options)

@@ -44,7 +44,7 @@ class Call:
         forks: The processes of the sandbox.
         process: That runs the code.
         header: What was asked, with its limits.
-        hold: Has a message with a body sent to the library, now or later.
+        send: Sends a message with a body to the library.
         poller: Of the keeper.
     """
 
@@ -55,10 +55,10 @@ class Call:
         forks: Forks,
         process: Process,
         header: dict[str, Any],
-        hold: Callable[[dict[str, Any], memoryview], None],
+        send: Callable[[dict[str, Any], memoryview], None],
         poller: select.poll,
     ) -> None:
-        self.forks, self.process, self.hold, self.poller = forks, process, hold, poller
+        self.forks, self.process, self.send, self.poller = forks, process, send, poller
         self.id: int = header["id"]
         self.session: str | None = header.get("session")
         self.limits: dict[str, Any] = header["limits"]
@@ -218,7 +218,7 @@ class Call:
                 self.result_left = length
             return len(data)
         count = self.process.job.recv_into(self.piece, min(self.result_left, len(self.piece)))
-        self.hold({"stream": RESULT}, self.piece[:count])
+        self.send({"stream": RESULT}, self.piece[:count])
         self.result_left -= count
         return count
 
@@ -226,7 +226,7 @@ class Call:
         """Pass on what is written."""
         count = os.readv(descriptor, [self.piece])
         if count:
-            self.hold({"stream": stream}, self.piece[:count])
+            self.send({"stream": stream}, self.piece[:count])
         self.output_bytes += count
         if self.output_bytes > self.limits["output_stop_bytes"]:
             self.end("output")

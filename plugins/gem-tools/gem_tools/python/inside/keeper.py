@@ -17,10 +17,7 @@ from typing import Any, NoReturn
 from gem_tools.python.inside import confine, kernel, wire
 from gem_tools.python.inside.call import Call, unforked
 from gem_tools.python.inside.child import JOB
-from gem_tools.python.inside.forks import AHEAD, Forks, Process, high
-
-_IDLE_MS = 20
-"""How long no call comes before more processes are forked ahead than none."""
+from gem_tools.python.inside.forks import Forks, Process, high
 
 
 class Keeper:
@@ -37,8 +34,8 @@ class Keeper:
         self.poller = select.poll()
         self.sessions: dict[str, Process] = {}
         self.call: Call | None = None
-        self.piece, self.to_send = unforked(1 << 16), unforked(1 << 18)
-        self.body_left = self.held = 0
+        self.piece = unforked(1 << 16)
+        self.body_left = 0
 
     def main(self) -> NoReturn:
         """Serve until the library is gone."""
@@ -48,12 +45,9 @@ class Keeper:
         while True:
             if self.call is None:
                 self.forks.clean_up()
-            if not self.forks.spares and not self.body_left:
+            if not self.body_left:
                 self.forks.fork_ahead()
-            events = self.poller.poll(self.wait_ms())
-            if not events and self.call is None:
-                self.forks.fork_ahead()
-            for descriptor, event in events:
+            for descriptor, event in self.poller.poll(self.wait_ms()):
                 if descriptor == self.incoming:
                     self.read()
                 elif descriptor == self.forks.wake:
@@ -66,9 +60,7 @@ class Keeper:
 
     def wait_ms(self) -> float | None:
         """Return how long nothing may happen before there is something to do."""
-        if self.call is not None:
-            return self.call.keep_limits() * 1000 + 0.5
-        return None if len(self.forks.spares) == AHEAD else _IDLE_MS
+        return None if self.call is None else self.call.keep_limits() * 1000 + 0.5
 
     def read(self) -> None:
         """Read what is asked, and do it."""
@@ -89,24 +81,12 @@ class Keeper:
                 self.call.hand_over(self.piece[:count])
         self.poller.register(self.incoming, 0 if self.body_left else select.POLLIN)
 
-    def hold(self, header: dict[str, Any], body: bytes | memoryview = b"") -> None:
-        """Keep a message until the next that is sent, or until there are many: each wakes the library's loop."""
-        for part in (wire.head(header, len(body)), body):
-            if self.held + len(part) > len(self.to_send):
-                self.flush()
-            self.to_send[self.held : self.held + len(part)] = part
-            self.held += len(part)
-
-    def send(self, header: dict[str, Any]) -> None:
+    def send(self, header: dict[str, Any], body: bytes | memoryview = b"") -> None:
         """Answer the library."""
-        self.hold(header)
-        self.flush()
-
-    def flush(self) -> None:
-        """Write what is held."""
-        rest, self.held = self.to_send[: self.held], 0
-        while rest:
-            rest = rest[os.write(self.outgoing, rest) :]
+        for part in (wire.head(header, len(body)), body):
+            rest = memoryview(part)
+            while rest:
+                rest = rest[os.write(self.outgoing, rest) :]
 
     def serve(self, header: dict[str, Any]) -> None:
         """Do what is asked."""
@@ -127,13 +107,9 @@ class Keeper:
             except OSError as error:
                 self.send({"id": header["id"], "failed": f"no process could be forked: {error}"})
                 return
-            self.call = Call(self.forks, process, header, self.hold, self.poller)
-            shared = self.forks.settings["counts"] == "shared"
-            told = {
-                "limits": header["limits"],
-                "others": confine.own_tasks() if shared else 0,
-                "input": header["input"],
-            }
+            self.call = Call(self.forks, process, header, self.send, self.poller)
+            others = confine.own_tasks() if self.forks.settings["same_user"] else 0
+            told = {"limits": header["limits"], "others": others, "input": header["input"]}
             self.call.hand_over(memoryview(wire.head(told, self.body_left)))
 
     def finish(self, call: Call) -> None:
