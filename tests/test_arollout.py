@@ -249,6 +249,18 @@ def test_requests_at_once_reach_what_is_allowed_and_no_more(most: int | None, on
     assert (peak, asked, open_now) == (wanted, 72, 0)
 
 
+def test_slots_take_turns_though_the_agent_never_waits() -> None:
+    """Who waited first is asked first, where one request is open at a time."""
+    asked: list[str] = []
+
+    async def agent(observation: gem.Observation, context: Context) -> str:
+        asked.append(context.episode)
+        return "a"
+
+    run(collected(gem.arollout(gem.make_vec(COUNTDOWN, 3, seed=0), agent, plan=lasting(3, 3, 3), max_requests=1)))
+    assert asked == ["0.0", "1.0", "2.0"] * 3
+
+
 @pytest.mark.parametrize("most", [0, 1.5, True])
 def test_a_number_of_requests_that_cannot_be_is_refused(most: Any) -> None:
     """Before anything is made."""

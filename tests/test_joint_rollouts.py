@@ -216,6 +216,14 @@ def test_agent_without_an_answer_ends_the_episode_for_all() -> None:
     assert joint.seats["second"].error == {"kind": "opponent", "message": "the agent at 'first' has no answer"}
 
 
+def test_a_seat_that_had_ended_keeps_its_result_when_another_has_no_answer() -> None:
+    """It had finished before."""
+    failing = failing_at(1, RequestError("no route"))
+    agents = {"a": lambda observation: "quit", "b": failing, "c": lambda observation: "1"}
+    (joint,) = rollout(AuctionEnv(["a", "b", "c"]), agents=agents, episodes=1, seed=0)
+    assert [episode.error and episode.error["kind"] for episode in joint] == [None, "agent", "opponent"]
+
+
 def test_questions_of_an_episode_that_is_over_are_cancelled() -> None:
     """An agent that would never answer holds no place among the open questions once another seat has failed."""
     cancelled = []

@@ -279,6 +279,11 @@ def test_environment_that_was_given_stays_open_and_its_replacement_does_not() ->
     next(running)
     running.close()  # type: ignore[attr-defined]  # it is a generator
     assert [env.closed for env in made] == [0, 1]
+    made.clear()
+    gem.register("noted:Env-v0", Noted)
+    with gem.make_vec("noted:Env-v0", 2, seed=0) as vector:
+        list(gem.rollout(vector, sampling_agent, episodes=4))
+        assert [env.closed for env in made] == [1, 1], "a slot without another episode keeps no environment"
 
 
 def test_plan_of_a_vector_environment_is_used_from_its_beginning() -> None:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 from gem_core.errors import EpisodeFileError
 from gem_core.records.episode import Episode
@@ -257,16 +257,11 @@ def episode_lines(path: str | Path, *, images: bool = False) -> Iterator[Episode
 
 def _line(number: int, text: bytes, images: ImageFolder | None) -> EpisodeLine:
     try:
-        return EpisodeLine(number, text, record_from_dict(_parsed(text), images))
+        return EpisodeLine(number, text, record_from_dict(json.loads(text), images))
     except EpisodeFileError as error:
         return EpisodeLine(number, text, None, error)
-
-
-def _parsed(line: bytes) -> Any:
-    try:
-        return json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise EpisodeFileError(f"it is no valid JSON ({error})") from error
+        return EpisodeLine(number, text, None, EpisodeFileError(f"it is no valid JSON ({error})"))
 
 
 def _is_torn(path: Path) -> bool:
