@@ -109,8 +109,6 @@ def test_what_is_closed_stays_closed(backend: str) -> None:
         lambda: vector.step(["a", "a"]),
         lambda: vector.send({0: "a"}),
         vector.recv,
-        lambda: vector.reset_slot(0),
-        lambda: vector.abort_slot(0, None),
         lambda: vector.describe(0),
         lambda: vector.sample_random_action(0),
         lambda: vector.num_tasks(INLINE),

@@ -360,47 +360,20 @@ class VectorEnv:
             ResetNeededError: A slot has no episode, and none begins by itself.
         """
         for slot, action in self._checked_pairs(actions):
-            self._send(slot, self._advance([(slot, action)]))
+            self._sent.add(slot.index)
+            if slot.in_place:
+                self._run(self._advance_sent(slot, action))
+            else:
+                asyncio.run_coroutine_threadsafe(self._advance_sent(slot, action), background_loop())
 
-    def reset_slot(self, slot: int) -> None:
-        """Begin the next episode of a slot, also in the middle of one; ``recv`` returns its first observation.
-
-        The reward is then 0, and the flags are false.
-        """
-        self._check_open()
-        chosen = self.slots[checked_slot(slot, self.num_envs)]
-        self._refuse_busy([chosen])
-        chosen.clear()
-        self._send(chosen, self._begin([chosen], None))
-
-    def _send(self, slot: Slot, work: Coroutine[Any, Any, None]) -> None:
-        """Begin work of a slot, or do it all if the slot runs in place."""
-
-        async def until_ready() -> None:
-            try:
-                await work
-            except Exception as error:  # noqa: BLE001 - raised again when the result is received
-                slot.result = error
-            self._ready.append(slot.index)
-            self._tell_news()
-
-        self._sent.add(slot.index)
-        if slot.in_place:
-            self._run(until_ready())
-        else:
-            asyncio.run_coroutine_threadsafe(until_ready(), background_loop())
-
-    def abort_slot(self, slot: int, error: dict[str, Any] | None, cause: BaseException | None = None) -> None:
-        """``reset_slot`` in the middle of an episode.
-
-        Args:
-            slot: Number of the slot.
-            error: A failure outside the environment, in the form of ``info["error"]``, counted as a fault; None if
-                nothing failed, as when the history is longer than the model's context.
-            cause: The exception, if there was one.
-        """
-        self.slots[checked_slot(slot, self.num_envs)].note_end(error, cause)
-        self.reset_slot(slot)
+    async def _advance_sent(self, slot: Slot, action: Action) -> None:
+        try:
+            await self._advance([(slot, action)])
+        except Exception as error:  # noqa: BLE001 - raised again when the result is received
+            slot.result = error
+        self._ready.append(slot.index)
+        if self._waiting:
+            background_loop().call_soon_threadsafe(self._news.set)
 
     def recv(self, min_envs: int = 1, timeout: float | None = None) -> Received:
         """Return the results of ``send`` that are ready, in order of completion.
@@ -455,10 +428,6 @@ class VectorEnv:
             with suppress(TimeoutError):
                 await on_library_loop(wait())
         self._check_open()
-
-    def _tell_news(self) -> None:
-        if self._waiting:
-            background_loop().call_soon_threadsafe(self._news.set)
 
     async def _drop_sent(self) -> None:
         """Wait for slots that are under way, and drop their results."""
@@ -595,7 +564,8 @@ class VectorEnv:
         if self._closed:
             return
         self._closed = True
-        self._tell_news()
+        if self._waiting:
+            background_loop().call_soon_threadsafe(self._news.set)
         for work in self._work.copy():
             work.get_loop().call_soon_threadsafe(work.cancel)
         for slot in self.slots:
