@@ -168,48 +168,17 @@ def test_calls_in_closed_thinking_are_thoughts(thought: str) -> None:
     assert called(f"<|channel|>analysis to=functions.python<|message|>{A1}<|call|>") == RUN
 
 
-QUOTED = [
-    "I would call `<python>print(6*7)</python>` but it is 42.",
-    "I would call ``<python>print(6*7)</python>`` but it is 42.",
-    "I could write `print` or `<python>\nprint(6*7)\n</python>`; it is 42.",
-    f"One calls it as `{J1}`, which I need not.",
-    f"One calls it as `<tool_call>{J1}</tool_call>`, `[TOOL_CALLS]` or `<execute>1</execute>`.",
-    "The mark `<|python_tag|>` begins a call, `<search>` a search.",
-    r"The answer is \boxed{42}, as <python>print(6*7)</python> would show.",
-    r"It is $\boxed{\frac{1}{2}}$ and not what <tool_call>" + J1 + "</tool_call> gives",
-    "<answer>42</answer> which <search>6*7</search> gives too",
-    f"The answer is \\boxed{{42}}.\n{J1}",
-    f"{P1}\n\n<answer>42</answer>",
-    '[python(code="print(6*7)")] \\boxed{42}',
-    "One calls it so:\n```xml\n<python>print(6*7)</python>\n```\nIt is \\boxed{42}.",
-    f"It is <answer>42</answer>.\n```\nFor example:\n<tool_call>{J1}</tool_call>\n```\n",
-]
-
-
-@pytest.mark.parametrize("text", QUOTED)
-def test_a_quoted_call_is_not_executed(text: str) -> None:
-    """Trap 8: in backticks, or where the answer is given already, a call is only spoken of."""
-    assert called(text) is None
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "`<python>1</python>` it is: <python>print(6*7)</python>",
-        "`<python>print(6*7)</python>`",
-        "The sign ` is odd: <python>print(6*7)</python>",
-        "It is `x`. <python>print(6*7)</python> `y`",
-        "The answer may be \\boxed{42}. Let me check: <python>print(6*7)</python>",
-        "It is \\boxed{42}, I think.\n<python>print(6*7)</python>",
-        "I call it:\n```xml\n<python>print(6*7)</python>\n```",
-        "```python\nprint(6*7)\n```\nSo it is \\boxed{42}.",
-        "<python>print(6*7)</python> so it is \\boxed{42}",
-        f"<tool_call>{J1}</tool_call> gives \\boxed{{42}}",
-    ],
-)
-def test_a_call_beside_a_quotation_or_an_answer_is_executed(text: str) -> None:
-    """Only the sentence that holds the answer is left alone, and the response that is nothing but the call is one."""
-    assert called(text) == RUN
+def test_a_quoted_call_is_not_executed() -> None:
+    """Trap 8: in backticks, or if the answer is given already, a call is only spoken of."""
+    for text in (
+        f"One calls it as `<tool_call>{J1}</tool_call>`, `[TOOL_CALLS]` or `<execute>1</execute>`.",
+        "The mark `<|python_tag|>` begins a call, `<search>` a search.",
+        f"The answer is \\boxed{{42}}.\n{J1}",
+        f"{P1}\n\n<answer>42</answer>",
+        '[python(code="print(6*7)")] \\boxed{42}',
+    ):
+        assert called(text) is None
+    assert called(f"<tool_call>{J1}</tool_call> gives \\boxed{{42}}") == RUN
 
 
 def test_a_call_that_was_cut_off_by_length_is_not_executed() -> None:

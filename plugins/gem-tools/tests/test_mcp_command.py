@@ -68,18 +68,18 @@ def test_one_server_by_its_command_line(capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("words", "named"),
     [
-        ((), "name either a CONFIG file, or one server by --command or by --url; see 'gem mcp list --help'"),
-        (("--command", "x", "--url", "http://h"), "name either a CONFIG file"),
-        (("--command", ""), "the tool 'mcp': key 'command': is empty"),
-        (("no-such-file.json",), "the MCP configuration no-such-file.json cannot be read: No such file or directory"),
-        (("--command", "no-such-program"), "1 of 1 MCP servers cannot be used: no-such-program"),
+        ((), "CONFIG"),
+        (("--command", "x", "--url", "http://h"), "CONFIG"),
+        (("--command", ""), "key 'command'"),
+        (("no-such-file.json",), "no-such-file.json"),
+        (("--command", "no-such-program"), "no-such-program"),
     ],
 )
-def test_errors_say_what_to_do(words, message, capsys):
+def test_errors_say_what_is_wrong(words, named, capsys):
     assert run(*words) in (1, 2)
-    assert message in capsys.readouterr().err
+    assert named in capsys.readouterr().err
 
 
 def test_doctor_knows_the_client():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import threading
 
 import pytest
@@ -50,9 +49,9 @@ def test_a_call_that_fails_costs_only_itself(tool, message):
         assert message in observation
         assert info["failed"]
         assert server.calls == [tool]
-        assert step(env, "echo", a=1)[0].endswith("{'a': 1}")
-        if tool == "hang":
-            assert server.cancelled == 1
+        again = step(env, "echo", a=1)[0]
+        assert again == (f"{RECONNECTED}\n{{'a': 1}}" if tool == "drop" else "{'a': 1}")
+        assert server.cancelled == (tool == "hang")
         env.close()
 
 
@@ -106,22 +105,6 @@ def test_a_call_that_cannot_be_sent_does_not_repeat_another_that_was():
         assert server.calls == ["hang"]
         for env in (one, other):
             env.close()
-
-
-def test_a_lost_connection_is_not_called_a_restart():
-    """Nobody started the server from here, and nobody starts it again: the next call connects anew."""
-    with WebServer() as server:
-        env = around(("mcp", {"url": server.url, "server_name": "web"}))
-        observation, info = step(env, "drop")
-        assert re.fullmatch(
-            r"The connection to the server web was lost during the call: the connection broke \(.*\)\. Whether the "
-            r"call had its effect is not known\. At the next call a new connection is made; what the server remembered "
-            r"may be lost\.",
-            observation,
-        )
-        assert info["fault"].startswith("died: ")
-        assert step(env, "echo", a=1)[0] == f"{RECONNECTED}\n{{'a': 1}}"
-        env.close()
 
 
 @pytest.mark.parametrize("transport", ["http", "sse"])
