@@ -129,16 +129,11 @@ def test_nothing_is_saved_where_nothing_is_or_too_much(machine: DockerMachine) -
 
 
 @pytest.mark.thorough
-def test_links_of_the_image_are_followed(machine: DockerMachine) -> None:
-    """As /bin, which leads to /usr/bin and has to stay."""
+def test_the_way_to_files_stays_as_it_is(machine: DockerMachine) -> None:
+    """A link of the image is followed, as /bin, and a user's folder stays the user's."""
     machine.put({"/bin/tool": b"#!/bin/sh\necho tool\n"}, mode=0o755)
     assert say(machine, "readlink /bin; /usr/bin/tool").splitlines() == ["usr/bin", "tool"]
     assert machine.get("/bin/tool") == {"": b"#!/bin/sh\necho tool\n"}
-
-
-@pytest.mark.thorough
-def test_owners_of_folders_on_the_way_stay(machine: DockerMachine) -> None:
-    """A file is put into a user's folder without taking that away."""
     say(machine, "mkdir -m 700 /srv/kim && chown nobody /srv/kim")
     machine.put({"/srv/kim/file": b"x"})
     assert say(machine, "stat -c '%a %U' /srv/kim") == "700 nobody\n"
@@ -162,17 +157,12 @@ def test_getting_is_bounded(machine: DockerMachine) -> None:
 
 
 def test_removing_follows_no_links(machine: DockerMachine) -> None:
-    """A link is removed and what it leads to stays; what is not there is no error."""
+    """What a link leads to stays, and what is not there is no error; a remover that is broken is the agent's doing."""
     say(machine, "mkdir /real && echo 1 > /real/x && ln -s /real /way && mkdir -p /full/deep && touch /full/deep/x")
     machine.remove_files(["/way", "/full", "/none/at/all"])
     assert machine.get("/real") == {"x": b"1\n"}
     assert say(machine, "ls -d /way /full 2>/dev/null; true") == ""
-
-
-@pytest.mark.thorough
-def test_files_that_cannot_be_removed_are_the_agents_doing(machine: DockerMachine) -> None:
-    """As where its remover is broken."""
     say(machine, "cp /bin/false /bin/rm; touch /x")
-    with pytest.raises(MachineLostError, match=r"/x cannot be removed") as caught:
+    with pytest.raises(MachineLostError) as caught:
         machine.remove_files(["/x"])
     assert caught.value.by_agent is True

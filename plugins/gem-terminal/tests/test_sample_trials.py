@@ -77,5 +77,8 @@ def test_gold_actions_are_the_reference_solution(monkeypatch: pytest.MonkeyPatch
     env.reset(seed=0)
     assert env.step(env.gold_action())[1:4] == (0.0, False, False)
     assert env.gold_action() == "<finish/>"
-    assert env.step("<finish/>")[1] == 1.0
+    _, reward, terminated, truncated, info = env.step("<finish/>")
+    assert (reward, terminated, truncated, info["correct"]) == (1.0, True, False, True)
+    assert info["verifier"]["tests"]
+    assert all(test["passed"] for test in info["verifier"]["tests"])
     env.close()

@@ -38,35 +38,33 @@ def refused(folder: Path) -> str:
     return str(raised.value)
 
 
-@pytest.mark.parametrize("file", ["task.yaml", "solution.yaml"])
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        (BOMB, "has more than 50,000 values, aliases written out."),
-        (MERGES, "has more than 50,000 values, aliases written out."),
-        ("a: &a [*a]\n", "is nested too deeply; expected 40 levels at most."),
-        ("[" * 100_000, "is nested too deeply; expected 40 levels at most."),
-        ("a: " + "[" * 60 + "]" * 60, "is nested too deeply; expected 40 levels at most."),
-        ("- x\n" * 60_000, "has more than 50,000 values, aliases written out."),
-        ("? " * 5_000, "is nested too deeply; expected 40 levels at most."),
-        ("x" * (MOST_BYTES + 1), "the file has 1,000,001 bytes; expected 1,000,000 at most."),
-        ("a: 1" + ":1" * 1_000, "has a number in base 60 of more than 40 digits; expected fewer."),
-        ("a: \0", "the file has a zero byte; expected a text file in UTF-8."),
-        ("a: !!python/object/apply:os.system [true]", "is no valid YAML: could not determine a constructor"),
-    ],
-    ids=["bomb", "merge", "itself", "deep", "deeper", "many", "keys", "large", "base-60", "zero", "object"],
-)
+DEEP, MANY = "nested too deeply", "more than 50,000 values"
+HOSTILE = {
+    "bomb": (BOMB, MANY),
+    "merge": (MERGES, MANY),
+    "itself": ("a: &a [*a]\n", DEEP),
+    "deep": ("[" * 100_000, DEEP),
+    "deeper": ("a: " + "[" * 60 + "]" * 60, DEEP),
+    "many": ("- x\n" * 60_000, MANY),
+    "keys": ("? " * 5_000, DEEP),
+    "large": ("x" * (MOST_BYTES + 1), "1,000,001 bytes"),
+    "base-60": ("a: 1" + ":1" * 1_000, "base 60"),
+    "zero": ("a: \0", "zero byte"),
+    "object": ("a: !!python/object/apply:os.system [true]", "no valid YAML"),
+    "tag": ("a: !!bool x", "no valid YAML"),
+}
+
+
 @pytest.mark.few(12)
-def test_hostile_yaml_is_refused(tmp_path: Path, file: str, text: str, problem: str) -> None:
+@pytest.mark.parametrize("file", ["task.yaml", "solution.yaml"])
+@pytest.mark.parametrize("case", HOSTILE)
+def test_hostile_yaml_is_refused(tmp_path: Path, file: str, case: str) -> None:
     """Before anything is made of it."""
+    text, problem = HOSTILE[case]
     folder = write(tmp_path / "t", TERMINAL_BENCH, {file: text})
-    assert refused(folder).startswith(f"{folder}/{file}: {problem}")
-
-
-def test_values_that_the_library_stumbles_over_are_errors(tmp_path: Path) -> None:
-    """As tags that do not fit."""
-    folder = write(tmp_path / "t", TERMINAL_BENCH, {"task.yaml": "instruction: Go.\na: !!bool x\n"})
-    assert refused(folder).startswith(f"{folder}/task.yaml: is no valid YAML: ")
+    message = refused(folder)
+    assert message.startswith(f"{folder}/{file}: ")
+    assert problem in message
 
 
 @pytest.mark.parametrize(
@@ -84,14 +82,14 @@ def test_hostile_toml_is_refused(tmp_path: Path, text: str) -> None:
 def test_numbers_that_cannot_be_written_are_refused(tmp_path: Path, field: str) -> None:
     """Python reads a hexadecimal number of any length, and then cannot show it."""
     folder = write(tmp_path / "t", HARBOR, {"task.toml": f"{field} = 0x{'f' * 20_000}\n"})
-    assert refused(folder) == f"{folder}/task.toml: has a number of 80,000 bits; expected 64 at most."
+    assert "80,000 bits" in refused(folder)
 
 
 def test_metadata_is_plain_or_refused(tmp_path: Path) -> None:
     """What is nested within reason is kept; what is not is an error."""
     deep = "[metadata]\na = " + "[" * 60 + "]" * 60 + "\n"
     folder = write(tmp_path / "t", HARBOR, {"task.toml": deep})
-    assert refused(folder) == f"{folder}/task.toml: is nested too deeply; expected 40 levels at most."
+    assert DEEP in refused(folder)
     text = "[metadata]\ntags = [inf, nan, 1.5, 07:32:00, 1979-05-27T07:32:00Z]\n"
     kept = read_task(write(tmp_path / "t", HARBOR, {"task.toml": text})).tags
     assert kept == ("inf", "nan", "1.5", "07:32:00", "1979-05-27T07:32:00+00:00")
@@ -104,9 +102,7 @@ def test_variables_cannot_grow_without_end(tmp_path: Path) -> None:
         "docker-compose.yaml": "services: {client: {build: ., user: '" + "$A" * 100_000 + "'}}\n",
     }
     folder = write(tmp_path / "t", TERMINAL_BENCH, files)
-    assert refused(folder) == (
-        f"{folder}/docker-compose.yaml: the values of its variables are longer than two million characters."
-    )
+    assert "longer than two million characters" in refused(folder)
     nested = "services: {client: {build: ., user: '" + "${A:-" * 5_000 + "'}}\n"
     folder = write(tmp_path / "t", TERMINAL_BENCH, {"docker-compose.yaml": nested})
     assert "has variables nested too deeply; expected 20 levels at most." in refused(folder)
@@ -124,10 +120,7 @@ def test_links_that_lead_out_are_refused(tmp_path: Path, file: str, target: str)
     }
     folder = write(tmp_path / "t", TERMINAL_BENCH, left_out)
     (folder / file).symlink_to(target)
-    assert refused(folder) == (
-        f"{folder / file}: is a link to {target!r}, out of {folder}; put a copy in its place, or make the link in the "
-        "Dockerfile."
-    )
+    assert refused(folder).startswith(f"{folder / file}: is a link to {target!r}, out of {folder}")
 
 
 def test_links_inside_are_followed_and_circles_are_errors(tmp_path: Path) -> None:
@@ -167,24 +160,17 @@ def test_a_file_of_a_gigabyte_is_not_read_as_text(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("gem_terminal.tasks.reading.scan", lambda folder: "not hashed, which takes its time")
     with (folder / "instruction.md").open("r+b") as opened:
         opened.truncate(1 << 30)
-    assert refused(folder) == (
-        f"{folder}/instruction.md: the file has 1,073,741,824 bytes; expected 1,000,000 at most."
-    )
+    assert "1,073,741,824 bytes" in refused(folder)
 
 
-@pytest.mark.parametrize(
-    ("junk", "problem"),
-    [
-        (b"\x7fELF\x02\x01\x01\xff\xfe", "byte 7 is no UTF-8; expected a text file in UTF-8."),
-        ("One.".encode("utf-16"), "byte 0 is no UTF-8; expected a text file in UTF-8."),
-        (b"One.\0", "the file has a zero byte; expected a text file in UTF-8."),
-    ],
-)
+@pytest.mark.parametrize("junk", [b"\x7fELF\x02\x01\x01\xff\xfe", "One.".encode("utf-16"), b"One.\0"])
 @pytest.mark.parametrize("file", ["instruction.md", "task.toml", "environment/docker-compose.yaml"])
-def test_binary_junk_is_refused(tmp_path: Path, file: str, junk: bytes, problem: str) -> None:
+def test_binary_junk_is_refused(tmp_path: Path, file: str, junk: bytes) -> None:
     """Where text is expected."""
     folder = write(tmp_path / "t", HARBOR, {file: junk})
-    assert refused(folder) == f"{folder}/{file}: {problem}"
+    message = refused(folder)
+    assert message.startswith(f"{folder}/{file}: ")
+    assert "expected a text file in UTF-8" in message
 
 
 def test_a_folder_where_a_file_belongs_is_an_error(tmp_path: Path) -> None:

@@ -48,11 +48,8 @@ def test_a_missing_variable_is_an_error_that_names_the_ways_to_give_it(folder: P
     where = "task.toml, 'environment.env.KEY'" if (folder / "task.toml").exists() else "docker-compose.yaml"
     with pytest.raises(ArgumentError) as raised:
         select_tasks(folder)
-    assert str(raised.value) == (
-        f"the task 't' needs variables that have no value: 'API_KEY' ({where}). Give values with "
-        "variables={'API_KEY': '…'}, or with variables=['API_KEY'] that of this process's environment; on the command "
-        "line with --variable API_KEY=… (gem terminal) or --set 'variables=[\"API_KEY\"]' (gem run)"
-    )
+    ways = (where, "variables={'API_KEY': '…'}", "variables=['API_KEY']", "--variable API_KEY=…", "--set 'variables=")
+    assert [words for words in ways if words not in str(raised.value)] == []
     (task,) = read_tasks(folder).tasks
     assert task.environment.unsupported == (f"{where}: a value of the variable 'API_KEY', which variables= gives",)
     assert "from the host" not in repr(task)
@@ -72,16 +69,12 @@ def test_only_the_tasks_that_are_chosen_need_their_variables(folder: Path) -> No
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (
-            {"API_KEI": "k"},
-            "variables: no task asks for 'API_KEI'. Did you mean 'API_KEY'? They ask for API_KEY, MODEL",
-        ),
-        (["NOT_THERE"], "variables: 'NOT_THERE' is not in the environment; give its value as NAME=value"),
-        ({"API_KEY": ["k"]}, "variables: 'API_KEY' is ['k']; expected a name and its value, a text"),
+        ({"API_KEI": "k"}, "Did you mean 'API_KEY'?"),
+        (["NOT_THERE"], "'NOT_THERE' is not in the environment"),
+        ({"API_KEY": ["k"]}, r"'API_KEY' is \['k'\]"),
     ],
 )
 def test_a_variable_that_cannot_be_given_is_an_error(folder: Path, given: GivenVariables, message: str) -> None:
     """One that no task asks for, that is not there, or that is no text."""
-    with pytest.raises(ArgumentError) as raised:
+    with pytest.raises(ArgumentError, match=message):
         select_tasks(folder, variables=given)
-    assert str(raised.value) == message

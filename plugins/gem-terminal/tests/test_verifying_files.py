@@ -20,23 +20,10 @@ def test_reward_txt_is_one_number(content: bytes, value: float) -> None:
     assert read_rewards({"reward.txt": content}) == {"reward": value}
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"",
-        b"  \n",
-        b"\xef\xbb\xbf",
-        b"yes",
-        b"1 2",
-        b"nan",
-        b"-inf",
-        b"1e999",
-        b"[1]",
-        b"\xff\xfe",
-        b"1,0",
-        b"9" * 2_000_000,
-    ],
-)
+NO_NUMBERS = [b"", b"  \n", b"\xef\xbb\xbf", b"yes", b"1 2", b"nan", b"-inf", b"1e999", b"[1]", b"\xff\xfe", b"1,0"]
+
+
+@pytest.mark.parametrize("content", [*NO_NUMBERS, b"9" * 2_000_000])
 def test_reward_txt_that_is_no_number_cannot_be_read(content: bytes) -> None:
     with pytest.raises(RewardFileError, match=r"^reward\.txt "):
         read_rewards({"reward.txt": content})
@@ -54,30 +41,26 @@ def test_broken_reward_json_is_not_replaced_by_reward_txt() -> None:
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"{}", "must be an object of names and numbers, not a value of type dict"),
-        (b"[1]", "must be an object of names and numbers, not a value of type list"),
-        (b"1", "must be an object of names and numbers, not a value of type int"),
-        (b'{"reward": "1"}', "has '1' for 'reward'; each must be a number"),
-        (b'{"reward": {"reward": 1}}', "has a value of type dict for 'reward'; each must be a number"),
-        (b'{"reward": null}', "has a value of type NoneType for 'reward'; each must be a number"),
-        (b'{"reward": NaN}', "has nan; it must be a finite number"),
-        (b'{"a": 1, "b": -Infinity}', "has -inf; it must be a finite number"),
-        (b'{"reward": 1e999}', "has inf; it must be a finite number"),
-        (b'{"reward": 1' + b"0" * 400 + b"}", "has a value of type int; it must be one number"),
+        (b"{}", "dict"),
+        (b"[1]", "list"),
+        (b"1", "int"),
+        (b'{"reward": "1"}', "'1' for 'reward'"),
+        (b'{"reward": {"reward": 1}}', "dict for 'reward'"),
+        (b'{"reward": null}', "NoneType for 'reward'"),
+        (b'{"reward": NaN}', "nan"),
+        (b'{"a": 1, "b": -Infinity}', "-inf"),
+        (b'{"reward": 1e999}', "inf"),
+        (b'{"reward": 1' + b"0" * 400 + b"}", "one number"),
+        (b"[" * 100_000, "not JSON"),
+        (b'{"a":' * 100_000, "not JSON"),
+        (b'{"reward": ' + b"9" * 5000 + b"}", "not JSON"),
+        (b"{'a': 1}", "not JSON"),
     ],
 )
 def test_reward_json_that_is_no_flat_object_of_numbers_cannot_be_read(content: bytes, reason: str) -> None:
-    with pytest.raises(RewardFileError) as caught:
+    with pytest.raises(RewardFileError, match=r"^reward\.json ") as caught:
         read_rewards({"reward.json": content})
-    assert str(caught.value) == f"reward.json {reason}"
-
-
-@pytest.mark.parametrize(
-    "content", [b"[" * 100_000, b'{"a":' * 100_000, b'{"reward": ' + b"9" * 5000 + b"}", b"{'a': 1}"]
-)
-def test_hostile_reward_json_is_an_error_and_no_crash(content: bytes) -> None:
-    with pytest.raises(RewardFileError, match=r"^reward\.json is not JSON"):
-        read_rewards({"reward.json": content})
+    assert reason in str(caught.value)
 
 
 @given(
@@ -117,16 +100,10 @@ def test_ctrf_names_the_tests_and_a_name_that_failed_once_has_failed() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    "files",
-    [
-        {},
-        {"ctrf.json": b""},
-        {"ctrf.json": b"[" * 100_000},
-        {"ctrf.json": b"[1]"},
-        {"ctrf.json": b'{"results": {"tests": 5}}'},
-    ],
-)
+BROKEN = [b"", b"[" * 100_000, b"[1]", b'{"results": {"tests": 5}}']
+
+
+@pytest.mark.parametrize("files", [{}, *({"ctrf.json": content} for content in BROKEN)])
 def test_broken_report_names_no_tests(files: dict[str, bytes]) -> None:
     assert read_report(files) == ()
 

@@ -63,12 +63,13 @@ def test_real_pytest_output_is_read_with_every_status(tmp_path: Path) -> None:
 
 
 def test_message_of_a_failure_is_kept_apart_from_its_name() -> None:
-    tests = parser_named("pytest")(HEAD + "FAILED a.py::test_x[1 - 2] - assert 1 == 2 - really\n" + END)
-    assert [(test.name, test.message) for test in tests] == [("test_x[1 - 2]", "assert 1 == 2 - really")]
-
-
-def test_file_that_cannot_be_collected_fails_under_its_own_name() -> None:
-    assert results(HEAD + "ERROR tests/test_x.py - ImportError: no\n" + END) == {"tests/test_x.py": False}
+    """A file that cannot be collected fails under its own name."""
+    text = f"{HEAD}FAILED a.py::test_x[1 - 2] - assert 1 == 2 - really\nERROR tests/test_x.py - ImportError: no\n{END}"
+    tests = parser_named("pytest")(text)
+    assert [(test.name, test.message) for test in tests] == [
+        ("test_x[1 - 2]", "assert 1 == 2 - really"),
+        ("tests/test_x.py", "ImportError: no"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -79,36 +80,28 @@ def test_output_without_a_result_is_said_to_have_none(text: str) -> None:
         parser_named("pytest")(text)
 
 
-def test_what_follows_the_closing_line_counts_for_nothing() -> None:
-    """A script goes on after pytest: its words are not results."""
-    assert results(HEAD + "PASSED a.py::b\n" + END + "FAILED to stop the server\nPASSED x::y\n") == {"b": True}
+FORGED = "PASSED a.py::secret\nPASSED a.py::more\n"
+REAL = "PASSED a.py::open\nFAILED a.py::secret - assert 0\n"
 
 
-def test_summary_forged_before_the_real_one_neither_wins_nor_adds_tests() -> None:
-    """Pytest shows what a passing program printed before its own summary, as it does here."""
-    forged = HEAD + "PASSED a.py::secret\nPASSED a.py::more\nPASSED a.py::even_more\n" + END
-    real = HEAD + "PASSED a.py::open\nFAILED a.py::secret - assert 0\n" + END
-    assert results("---- Captured stdout call ----\n" + forged + real) == {"open": True, "secret": False}
-
-
-def test_summary_forged_after_the_real_one_cannot_take_back_a_failure() -> None:
-    real = HEAD + "FAILED a.py::secret - assert 0\n" + END
-    forged = HEAD + "PASSED a.py::secret\n" + END
-    assert results(real + forged) == {"secret": False}
-
-
-def test_failure_of_a_first_session_counts_beside_a_second_that_passed() -> None:
-    first, second = HEAD + "FAILED a.py::one\nPASSED a.py::two\n" + END, HEAD + "PASSED b.py::three\n" + END
-    assert results(first + second) == {"one": False, "three": True}
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (f"{HEAD}PASSED a.py::b\n{END}FAILED to stop the server\nPASSED x::y\n", {"b": True}),
+        (f"-- Captured stdout call --\n{HEAD}{FORGED}{END}{HEAD}{REAL}{END}", {"open": True, "secret": False}),
+        (f"{HEAD}FAILED a.py::secret - assert 0\n{END}{HEAD}PASSED a.py::secret\n{END}", {"secret": False}),
+        (f"{HEAD}FAILED a::one\nPASSED a::two\n{END}{HEAD}PASSED b::three\n{END}", {"one": False, "three": True}),
+    ],
+    ids=["words_after_it", "forged_before", "forged_after", "two_sessions"],
+)
+def test_only_the_last_summary_adds_tests_and_none_takes_back_a_failure(text: str, expected: dict[str, bool]) -> None:
+    """Pytest shows what a passing program printed before its own summary, and a script goes on after it."""
+    assert results(text) == expected
 
 
 def test_unknown_parser_is_an_error_that_names_those_there_are() -> None:
-    with pytest.raises(TaskError) as caught:
+    with pytest.raises(TaskError, match="pytest, swebench, swelancer, mlebench, sweperf"):
         parser_named("junit")
-    assert str(caught.value) == (
-        "no parser is called 'junit'. Set parser_name in task.yaml to one of "
-        "pytest, swebench, swelancer, mlebench, sweperf."
-    )
 
 
 MARKED = {
