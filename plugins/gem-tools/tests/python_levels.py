@@ -125,8 +125,8 @@ class Watched:
         self.count = len(processes(pool))
 
     def usual(self) -> int:
-        """Return how many processes a sandbox has that waits for a call: its own, and that which was forked ahead."""
-        return 2 + (2 if self.pool.level == "bubblewrap" else 0)
+        """Return how many processes a sandbox has that waits for a call: its own, and those that were forked ahead."""
+        return 5 + (2 if self.pool.level == "bubblewrap" else 0)
 
     def check(self) -> None:
         """See that the pool still serves, and that nothing is left of earlier calls."""

@@ -17,7 +17,10 @@ from typing import Any, NoReturn
 from gem_tools.python.inside import confine, kernel, wire
 from gem_tools.python.inside.call import Call, unforked
 from gem_tools.python.inside.child import JOB
-from gem_tools.python.inside.forks import Forks, Process, high
+from gem_tools.python.inside.forks import AHEAD, Forks, Process, high
+
+_IDLE_MS = 20
+"""How long no call comes before more processes are forked ahead than none."""
 
 
 class Keeper:
@@ -45,9 +48,12 @@ class Keeper:
         while True:
             if self.call is None:
                 self.forks.clean_up()
-            if not self.body_left:
+            if not self.forks.spares and not self.body_left:
                 self.forks.fork_ahead()
-            for descriptor, event in self.poller.poll(self.wait_ms()):
+            events = self.poller.poll(self.wait_ms())
+            if not events and self.call is None:
+                self.forks.fork_ahead()
+            for descriptor, event in events:
                 if descriptor == self.incoming:
                     self.read()
                 elif descriptor == self.forks.wake:
@@ -60,7 +66,9 @@ class Keeper:
 
     def wait_ms(self) -> float | None:
         """Return how long nothing may happen before there is something to do."""
-        return None if self.call is None else self.call.keep_limits() * 1000 + 0.5
+        if self.call is not None:
+            return self.call.keep_limits() * 1000 + 0.5
+        return None if len(self.forks.spares) == AHEAD else _IDLE_MS
 
     def read(self) -> None:
         """Read what is asked, and do it."""
