@@ -49,6 +49,7 @@ PRIVATE_IN_TESTS = {
     "plugins/gem-tools/tests/test_python_attacks_oneself.py": {"_spare_uid"},
     "plugins/gem-tools/tests/test_python_docker.py": {"_answer"},
     "plugins/gem-tools/tests/test_python_levels.py": {"_warned", "_working"},
+    "plugins/gem-tools/tests/test_requirements_probes.py": {"_working"},
     "tests/conftest.py": {"_find", "_named", "_registry"},
     "tests/test_cli.py": {"_named"},
     "tests/test_completion.py": {"_named", "_registry"},

@@ -13,8 +13,7 @@ import gem_core as gem
 from gem_core.env.guard import Guard
 from gem_core.env.observations import join_observations
 from gem_core.errors import ArgumentError
-from gem_core.parsing import without_thinking
-from gem_core.tools import visible_text
+from gem_core.parsing import visible_text, without_thinking
 from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView
 
 

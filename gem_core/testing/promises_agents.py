@@ -127,7 +127,7 @@ _THINKING = ("<think>{0}</think>{1}", "{0}</think>{1}", "{1}<think>{0}")
 
 
 @promise(
-    "show others what you extract of a response, with gem_core.records.without_thinking where all of it is said.",
+    "show others what you extract of a response, with gem_core.parsing.without_thinking where all of it is said.",
     of="several",
 )
 def reasoning(subject: Subject) -> Iterator[str]:

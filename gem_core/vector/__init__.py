@@ -5,20 +5,6 @@ be killed, it gives the vector environment a ``WorkerPool``, whose ``start`` ret
 a request to a ``WorkerLoop`` in another process, and returns the reply. The plugin gem-ray is an example.
 """
 
-from gem_core.failures import Failure
-from gem_core.vector.remote import NoRoomError, RemoteEnv, Worker, WorkerDiedError, WorkerPool
-from gem_core.vector.setup import VectorSetup
-from gem_core.vector.vector_env import VectorEnv
-from gem_core.vector.worker import WorkerLoop
+import lazy_loader
 
-__all__ = [
-    "Failure",
-    "NoRoomError",
-    "RemoteEnv",
-    "VectorEnv",
-    "VectorSetup",
-    "Worker",
-    "WorkerDiedError",
-    "WorkerLoop",
-    "WorkerPool",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -3,20 +3,6 @@
 A new one gets a file here and a record in ``gem_core/_plugin.py``.
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from gem_core.wrappers.chat import ConcatChat, MessagesView
-from gem_core.wrappers.episode_stats import EpisodeStats
-from gem_core.wrappers.turn_limit import TurnLimit
-from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView
-
-__all__ = [
-    "Concat",
-    "ConcatChat",
-    "ConcatWithAction",
-    "EpisodeStats",
-    "Latest",
-    "MessagesView",
-    "ObservationView",
-    "TurnLimit",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,8 +7,7 @@ from typing import Any
 
 from gem_core.env import MultiAgentEnv, Verdict
 from gem_core.errors import ResetNeededError
-from gem_core.parsing import extract_boxed_answers
-from gem_core.records import without_thinking
+from gem_core.parsing import extract_boxed_answers, without_thinking
 from gem_core.types import Info
 from gem_games.cheap_random import CheapRandom
 from gem_games.game import painted, quote

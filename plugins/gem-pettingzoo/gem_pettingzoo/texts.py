@@ -12,8 +12,7 @@ from gymnasium import spaces
 
 from gem_core.env import Content, Messages, Text
 from gem_core.errors import ArgumentError
-from gem_core.parsing import extract_last_boxed_answer
-from gem_core.records import without_thinking
+from gem_core.parsing import extract_last_boxed_answer, without_thinking
 from gem_core.types import Observation
 
 _ARRAYS = (spaces.Box, spaces.MultiDiscrete, spaces.MultiBinary)

@@ -11,7 +11,8 @@ from typing import Any, Self
 from gem_core import Env, MultiAgentEnv, Response, single_agent
 from gem_core.data import chosen_index
 from gem_core.errors import ArgumentError, DatasetError
-from gem_core.tools import CALL_CLOSE, CALL_OPEN, CallReader, DescribedTool, ToolCall, native_calls, visible_text
+from gem_core.parsing import visible_text
+from gem_core.tools import CALL_CLOSE, CALL_OPEN, CallReader, DescribedTool, ToolCall, native_calls
 from gem_core.types import TERMINAL_STATE, Info
 from gem_tau.database import fork
 from gem_tau.folders import TaskSet, read_folder

@@ -12,17 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from gem_core.parsing import CodeBlock, extract_code_blocks, unclosed_code_block
-from gem_core.tools import (
-    CALL_CLOSE,
-    CALL_OPEN,
-    ToolCall,
-    format_calls,
-    json_call,
-    mask,
-    native_calls,
-    thinking_blocks,
-)
+from gem_core.parsing import CodeBlock, extract_code_blocks, mask, thinking_blocks, unclosed_code_block
+from gem_core.tools import CALL_CLOSE, CALL_OPEN, ToolCall, format_calls, json_call, native_calls
 from gem_terminal.acting import TOOLS
 from gem_terminal.terminus import read_terminus
 from gem_terminal.yaml_commands import looks_like_yaml, read_yaml_command

@@ -13,8 +13,6 @@ off, and what the index lacks is read again from the frames; a damaged frame cos
 changed: an episode that is run again is appended once more, and the later one counts.
 """
 
-from gem_eval.records.row import Row
-from gem_eval.records.run import Run, open_run, read_info
-from gem_eval.records.writer import RunWriter
+import lazy_loader
 
-__all__ = ["Row", "Run", "RunWriter", "open_run", "read_info"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,23 +1,5 @@
 """Suites: which tasks are evaluated and how, as YAML files of ours and of users."""
 
-from gem_eval.suites.suite import (
-    Model,
-    Suite,
-    SuiteChanges,
-    SuiteTask,
-    builtin_suites,
-    changed_suite,
-    combined_suite,
-    load_suite,
-)
+import lazy_loader
 
-__all__ = [
-    "Model",
-    "Suite",
-    "SuiteChanges",
-    "SuiteTask",
-    "builtin_suites",
-    "changed_suite",
-    "combined_suite",
-    "load_suite",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,7 +10,7 @@ from types import NoneType
 from typing import Any, NamedTuple
 
 from gem_core.errors import ArgumentError
-from gem_core.records import without_thinking
+from gem_core.parsing import without_thinking
 from gem_core.suggestions import did_you_mean
 from gem_games.textarena.fence import Fence
 from gem_games.textarena.games import GAMES

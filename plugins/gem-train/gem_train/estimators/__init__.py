@@ -13,31 +13,6 @@ All of them raise ``ValueError`` for a shape, a dtype or a factor that cannot be
 torch nor gem_core.
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from gem_train.estimators.groups import gigpo_advantages, grpo_advantages, rloo_advantages
-from gem_train.estimators.losses import PolicyMetrics, aggregate_tokens, policy_gradient_loss, ppo_loss, value_loss
-from gem_train.estimators.normalization import normalize_advantages, return_batch_normalization
-from gem_train.estimators.policies import entropy, kl_penalty, truncated_importance_weights
-from gem_train.estimators.returns import discounted_returns, gae, learnable_turns
-from gem_train.estimators.roles import role_baselines
-
-__all__ = [
-    "PolicyMetrics",
-    "aggregate_tokens",
-    "discounted_returns",
-    "entropy",
-    "gae",
-    "gigpo_advantages",
-    "grpo_advantages",
-    "kl_penalty",
-    "learnable_turns",
-    "normalize_advantages",
-    "policy_gradient_loss",
-    "ppo_loss",
-    "return_batch_normalization",
-    "rloo_advantages",
-    "role_baselines",
-    "truncated_importance_weights",
-    "value_loss",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,3 @@
+"""The public names, which are imported on first use."""
+
+from .terminal_env import TerminalEnv as TerminalEnv
