@@ -94,6 +94,8 @@ def check_requirements(record: EnvSpec, given: Iterable[str] = ()) -> None:
     Raises:
         MissingRequirementError: Names each requirement and what to install, start or set.
     """
+    if not record.requires:
+        return
     met = {f"argument:{name}" for name in given}
     missing = unmet(word for word in record.requires if word not in met)
     if missing:

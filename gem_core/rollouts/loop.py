@@ -134,7 +134,9 @@ async def play_slot(run: Run, slot: Slot) -> None:
         start = run.queue.draw(slot.index)
         if start is None:
             break
-        failure = await run.in_slot(slot.prepares_in_place(start), slot.prepare, start)
+        failure = None
+        if not slot.fits(start):
+            failure = await run.in_slot(slot.makes_in_place(start), slot.make, start)
         if failure is not None:
             record = failed_record(run, slot, start, slot.fault(failure))
         elif run.is_plain and slot.in_place:

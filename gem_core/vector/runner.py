@@ -182,7 +182,8 @@ class EnvRunner:
 
     def close(self) -> None:
         """Forget the environment, and close it unless the caller owns it."""
-        close_all(self.forget())
+        if self.env is not None:
+            close_all(self.forget())
 
     def forget(self) -> list[AnyEnv]:
         """Forget the environment; return it, unless there is none or the caller owns it."""

@@ -139,11 +139,12 @@ class VectorSetup:
         """
         by_class = self.task_concurrency(env_id)
         entries = [kwargs for each, kwargs in self.entries if each == env_id]
-        stacks = [self.wrappers, *(_split({**self.kwargs, **kwargs})[1] for kwargs in entries)]
+        asked = [self.wrappers, *({**self.kwargs, **kwargs}.get("wrappers", ()) for kwargs in entries)]
+        stacks = [stack for stack in asked if stack]
         if by_class == "process" or any(map(_needs_process, stacks)):
             return "process"
         # Wrappers may need a thread, which matters only for an inline task with a step_timeout.
-        decided = by_class != "inline" or not any(stacks) or self.step_timeout is None
+        decided = by_class != "inline" or not stacks or self.step_timeout is None
         if not entries or (by_class is not None and decided):
             return by_class
         env = self.make(env_id, entries[0])

@@ -106,7 +106,7 @@ class VectorConfig:
 class Slot:
     """Holds one environment at a time, and the state of its episode.
 
-    ``prepare`` makes the environment that an episode needs, and another when it has failed. An exception of the
+    ``make`` makes the environment that an episode needs, if it is not there or has failed. An exception of the
     environment, or a step that takes too long, comes back as a ``Failure``. The coroutines run on any event loop. If
     ``in_place`` is true, they never wait, so that plain code finishes them at once.
 
@@ -168,18 +168,18 @@ class Slot:
         """Tell whether the present environment is that of an episode."""
         return self.runner.has_env_for(*self.target(start))
 
-    def prepares_in_place(self, start: EpisodeStart) -> bool:
-        """Tell whether ``prepare`` never waits."""
-        return self.fits(start) or self.config.is_quick(self.target(start)[0])
+    def makes_in_place(self, start: EpisodeStart) -> bool:
+        """Tell whether ``make`` never waits."""
+        return self.config.is_quick(start.item.id or self.env_id)
 
-    async def prepare(self, start: EpisodeStart) -> Failure | None:
-        """Make the environment that an episode needs unless it is there; return the failure, if any."""
-        if self.prepares_in_place(start):
+    async def make(self, start: EpisodeStart) -> Failure | None:
+        """Make the environment that an episode needs; return the failure, if any."""
+        if self.makes_in_place(start):
             return self.runner.make(*self.target(start))
         return await self._elsewhere(self.runner.make, None, *self.target(start))
 
     async def reset(self, start: EpisodeStart, options: Mapping[str, Any] | None = None) -> ResetResult | Failure:
-        """Begin an episode in the environment that ``prepare`` has made.
+        """Begin an episode in the environment that ``make`` has made.
 
         Args:
             start: Start of the episode.

@@ -617,9 +617,7 @@ class VectorEnv:
                     starts.append((slot, start))
             await self._do((slot, slot.in_place or slot.runner.env is None, slot.release) for slot in idle)
             making = [(slot, start) for slot, start in starts if not slot.fits(start)]
-            outcomes = await self._do(
-                (slot, slot.prepares_in_place(start), slot.prepare, start) for slot, start in making
-            )
+            outcomes = await self._do((slot, slot.makes_in_place(start), slot.make, start) for slot, start in making)
             made = [(slot, start) for slot, start in starts if outcomes.get(slot.index) is None]
             outcomes |= await self._do((slot, slot.in_place, slot.reset, start, options) for slot, start in made)
             slots = [slot for slot, start in starts if slot.take_reset(start, outcomes[slot.index])]
