@@ -7,26 +7,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from problems.build import PROBLEMS, as_text, written_tests
 
 import gem_code
 import gem_core as gem
 from gem_code.cases import AssertionTests, StdinTests, read_tests
 from gem_core.testing import check_env
 
+if TYPE_CHECKING:
+    from code_problems.problem import Problem
+    from judging import Judge
+
+code_sample = pytest.importorskip("code_sample", reason="the scripts are not beside the plugin")
 pytestmark = pytest.mark.thorough
 
-if TYPE_CHECKING:
-    from judging import Judge
-    from problems.problem import Problem
-
 ROWS = Path(gem_code.__file__).parent / "data" / "sample.jsonl"
+PROBLEMS = code_sample.PROBLEMS
 BY_ID = {problem.id: problem for problem in PROBLEMS}
 
 
 def test_the_file_is_what_the_problems_give() -> None:
     """After a change there: ``python scripts/code_sample.py``."""
-    assert ROWS.read_text(encoding="utf-8") == as_text()
+    assert ROWS.read_text(encoding="utf-8") == code_sample.as_text()
 
 
 def test_there_are_enough_problems_in_both_forms() -> None:
@@ -62,7 +63,7 @@ def test_no_statement_or_row_holds_a_solution() -> None:
 @pytest.mark.parametrize("problem", PROBLEMS, ids=lambda problem: problem.id)
 def test_the_reference_passes_and_mistakes_fail(problem: Problem, judge: Judge) -> None:
     """The reference in all tests; each wrong program passes none that it should not, and not all."""
-    tests = written_tests(problem)
+    tests = code_sample.written_tests(problem)
     options = {"entry": problem.function, "prompt": problem.statement}
     assert judge(problem.reference, tests, **options).correct
     for mistake, code in problem.wrong.items():

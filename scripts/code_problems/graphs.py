@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from problems.problem import Problem, text
+from code_problems.problem import Problem, text
 
 
 def _network(seed: int, nodes: int, edges: int, *, weight: int = 0, query: tuple[int, int] | None = None) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from problems.problem import Problem, letters, numbers, row, text
+from code_problems.problem import Problem, letters, numbers, row, text
 
 
 def _list(values: list[int], *rest: object) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from problems.problem import Problem, letters, numbers, text
+from code_problems.problem import Problem, letters, numbers, text
 
 
 def _intervals(seed: int, count: int, high: int, longest: int) -> str:

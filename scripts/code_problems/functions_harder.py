@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from problems.problem import Problem, letters, numbers, text
+from code_problems.problem import Problem, letters, numbers, text
 
 FLATTEN = Problem(
     id="flatten",

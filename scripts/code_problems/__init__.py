@@ -1,0 +1,1 @@
+"""The problems of code:Sample with their solutions, right and wrong. Their tests are written by ``code_sample``."""
