@@ -64,7 +64,7 @@ def gem_register_agents() -> Iterable[AgentSpec]:
         AgentSpec(
             name="wikigame",
             entry_point="gem_games.wiki.agent:WikiGameAgent",
-            summary="Wins WikiGame with the embedded articles, in the fewest turns.",
+            summary="Wins WikiGame with the shipped articles, in the fewest turns.",
         ),
         AgentSpec(name="tictactoe", entry_point=f"{joint}:TicTacToeAgent", summary="Never loses TicTacToe."),
         AgentSpec(name="kuhn", entry_point=f"{joint}:KuhnAgent", summary="Plays KuhnPoker by an equilibrium."),

@@ -5,17 +5,15 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterable, Iterator
-from functools import lru_cache
 from itertools import chain, islice
+from pathlib import Path
 from typing import Any
 
 from gem_core.errors import ArgumentError
-from gem_core.types import TERMINAL_STATE, Concurrency, ResetResult, StepResult
+from gem_core.types import ResetResult, StepResult
 from gem_games.cheap_random import CheapRandom
 from gem_games.game import Game, check_whole, painted, quote
-from gem_games.wiki.backends import article_graph
-from gem_games.wiki.embedded import EmbeddedArticles
-from gem_games.wiki.graph import Article, ArticleError, ArticleGraph
+from gem_games.wiki.articles import Article, load_articles
 
 VARIANTS = "noregrets", "oneback", "freenav", "eidetic"
 BACK = "<PREV_PAGE>"
@@ -40,23 +38,19 @@ class WikiGameEnv(Game):
     - In the last turn, another link, another part of the links, or a title that cannot be taken: reward 0.
     - ``\boxed{<LINKS 2>}`` shows the second part of a list of links that is too long to be shown at once. As any move
       it costs a turn: reward -0.05. A link can be taken whether it is shown or not.
-    - An article that cannot be fetched is no failure of yours: the episode is truncated with ``info["error"]``.
 
-    Unlike in gem-llm the last turn ends the game as ``terminated``, the start and the target come from the seed, a way
-    between them exists, and pages known to do nothing but tell a word's meanings apart are left out of the links. An
-    article is shown by its first 500 characters, there by 100, and the target by its title alone.
+    Unlike in gem-llm the last turn ends the game as ``terminated``, the start and the target come from the seed, and a
+    way between them exists. An article is shown by its first 500 characters, there by 100, and the target by its title
+    alone.
 
     Args:
         max_turns: Turns allowed. None draws 15 or 30.
         variant: ``"noregrets"``: only links of the present article. ``"oneback"``: also ``\boxed{<PREV_PAGE>}``, never
             twice in a row. ``"freenav"``: that too, as often as you like. ``"eidetic"``: any link seen in this game.
         min_distance: Fewest links between start and target.
-        max_distance: Most links between them, but never more than ``max_turns``. With the embedded articles both mean
-            the shortest way; with a server the target is at the end of a walk of so many links.
-        backend: ``"embedded"``, ``"kiwix"``, ``"mediawiki"``, or an ``ArticleGraph``.
-        url: Address of the Kiwix server or of the wiki's ``api.php``.
-        book: Book of the Kiwix server; see ``KiwixArticles``.
-        timeout_s: Limit for one request to the server.
+        max_distance: Most links on the shortest way between them, but never more than ``max_turns``.
+        articles: A file of JSON lines, ``{"title": …, "text": "… [[Title]] … [[Title|words]] …"}``. None: some 500
+            that are shipped here.
         page_summary_length: How much of an article is shown, such as ``(100, "characters")``; the unit may also be
             ``"words"`` or ``"sentences"``.
         links_per_part: Links that are shown at once.
@@ -67,7 +61,7 @@ class WikiGameEnv(Game):
     Source: variants and rewards of gem-llm's game of this name, https://github.com/axon-rl/gem.
     """
 
-    shared_by_forks = ("graph",)
+    shared_by_forks = ("articles",)
     format_error_reward = _WRONG
     unreadable = "is no title."
 
@@ -77,10 +71,7 @@ class WikiGameEnv(Game):
         variant: str = "noregrets",
         min_distance: int = 2,
         max_distance: int = 6,
-        backend: str | ArticleGraph = "embedded",
-        url: str | None = None,
-        book: str | None = None,
-        timeout_s: float = 10.0,
+        articles: str | Path | None = None,
         page_summary_length: tuple[int, str] | list[Any] = (500, "characters"),
         links_per_part: int = 100,
         *,
@@ -93,7 +84,7 @@ class WikiGameEnv(Game):
         _check_distances(min_distance, max_distance, max_turns)
         if type(links_per_part) is not int or links_per_part < 1:
             raise ArgumentError(f"links_per_part must be a whole number from 1 up, not {links_per_part!r}")
-        self.graph = article_graph(backend, url, book, timeout_s)
+        self.articles = load_articles(None if articles is None else str(articles))
         self.variant = variant
         self.links_per_part = links_per_part
         self._summary_length, self._summary_unit = _checked_summary(page_summary_length)
@@ -106,11 +97,6 @@ class WikiGameEnv(Game):
         self.distance: int | None = None
         self._begin()
 
-    @property
-    def concurrency(self) -> Concurrency:  # type: ignore[override]  # it depends on where the articles come from
-        """What the article graph needs."""
-        return self.graph.concurrency
-
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin a game.
 
@@ -119,7 +105,7 @@ class WikiGameEnv(Game):
             options: ``{"start": title, "target": title}``, or none to draw them.
 
         Raises:
-            ArticleError: An article cannot be fetched; the message says what to do.
+            ArgumentError: There are no such articles, or no way between them.
         """
         self._wanted = _checked_pair(options) if options else None
         return super().reset(seed)
@@ -127,22 +113,19 @@ class WikiGameEnv(Game):
     def _deal(self, draws: CheapRandom) -> None:
         self.max_turns = self._given_turns or _TURN_LIMITS[draws.below(2)]
         if self._wanted:
-            first, target = (self.graph.article(title) for title in self._wanted)
-            if first.title == target.title:
-                raise ArgumentError(f"start and target are the same article, {first.title!r}; choose two")
-            self.target, self.distance = target.title, None
+            self.start, self.target = self._wanted
+            self.distance = len(self.articles.way(self.start, self.target)) - 1
+            if not self.distance:
+                raise ArgumentError(f"start and target are the same article, {self.start!r}; choose two")
         else:
             nearest, farthest = self._distances
-            start, self.target, self.distance = self.graph.pair(draws, nearest, min(farthest, self.max_turns))
-            first = self.graph.article(start)
-        self.start = first.title
-        self.path = [first]
+            self.start, self.target, self.distance = self.articles.pair(draws, nearest, min(farthest, self.max_turns))
+        self.path = [self.articles.article(self.start)]
         self._begin()
 
     def _begin(self) -> None:
         self.went_back = False
         self.part = 1
-        self._seen: dict[str, None] | None = None
 
     # What can be said.
 
@@ -167,24 +150,19 @@ class WikiGameEnv(Game):
 
     def _situation(self) -> str:
         here = self.path[-1]
-        links = self._all_shown() if self.variant == "eidetic" else _shown(here, self.part, self.links_per_part)
+        what = "Links that you may follow" if self.variant == "eidetic" else "Links from here"
         return (
             f"\nYour target: {self.target}.\nYou are at: {here.title}.\n"
-            f"{_summary(here, self._summary_length, self._summary_unit)}\n{links}"
+            f"{_summary(here, self._summary_length, self._summary_unit)}\n"
+            + _listed(self._open_titles(), what, self.part, self.links_per_part)
             + self._turns_left("Put the title of a link inside \\boxed{}.")
         )
 
-    def _all_shown(self) -> str:
-        return _listed(self._open_titles(), "Links that you may follow", self.part, self.links_per_part)
-
     def _open_titles(self) -> tuple[str, ...]:
         """Return the titles that can be taken now, those of the present article first."""
-        here = self.path[-1].links
         if self.variant != "eidetic":
-            return here
-        if self._seen is None:
-            self._seen = dict.fromkeys(chain.from_iterable(article.links for article in reversed(self.path)))
-        return tuple(self._seen)
+            return self.path[-1].links
+        return tuple(dict.fromkeys(chain.from_iterable(article.links for article in reversed(self.path))))
 
     # What is played.
 
@@ -200,11 +178,7 @@ class WikiGameEnv(Game):
             if answer_as_title not in titles:
                 return self._wrong(f"{quote(answer)} is not among the links.{_hint(answer, titles)}")
             answer = answer_as_title
-        try:
-            article = self.graph.article(answer)
-        except ArticleError as error:
-            return self._fault(error)
-        return self._arrive(article)
+        return self._arrive(self.articles.article(answer))
 
     def _arrive(self, article: Article) -> StepResult:
         title = article.title
@@ -247,19 +221,14 @@ class WikiGameEnv(Game):
     def _wrong(self, feedback: str, at_limit: float = 0.0) -> StepResult:
         return self._move(None, f"{feedback} The turn is lost.", _WRONG, at_limit)
 
-    def _fault(self, error: ArticleError) -> StepResult:
-        """End the episode for a failure that no other answer could have prevented; the game is neither won nor lost."""
-        return TERMINAL_STATE, 0.0, False, True, {"error": {"kind": "articles", "message": str(error)}}
-
     def _solution(self) -> str:
-        if not isinstance(self.graph, EmbeddedArticles):
-            return ""
-        return f" A shortest way was: {' → '.join(self.graph.way(self.start, self.target))}."
+        return f" A shortest way was: {' → '.join(self.articles.way(self.start, self.target))}."
 
     def _gold_answer(self) -> str | None:
-        if not isinstance(self.graph, EmbeddedArticles):
-            return None  # finding a way by a server takes many requests
-        way = self.graph.way(self.path[-1].title, self.target)
+        try:
+            way = self.articles.way(self.path[-1].title, self.target)
+        except ArgumentError:  # in a collection with one-way links, the target may be out of reach by now
+            return None
         return way[min(1, len(way) - 1)]
 
     def _random_answer(self) -> str:
@@ -282,7 +251,6 @@ class WikiGameEnv(Game):
         )
 
 
-@lru_cache(maxsize=2_000)
 def _summary(article: Article, length: int, unit: str) -> str:
     """Return the beginning of an article's text."""
     text = article.text
@@ -290,11 +258,6 @@ def _summary(article: Article, length: int, unit: str) -> str:
         return text if len(text) <= length else f"{text[:length].rstrip()}…"
     pieces = text.split() if unit == "words" else _SENTENCE_END.split(text)
     return " ".join(pieces) if len(pieces) <= length else f"{' '.join(pieces[:length])} …"
-
-
-@lru_cache(maxsize=2_000)
-def _shown(article: Article, part: int, per_part: int) -> str:
-    return _listed(article.links, "Links from here", part, per_part)
 
 
 def _listed(titles: tuple[str, ...], what: str, part: int, per_part: int) -> str:
