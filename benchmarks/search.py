@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import harness
+from gem_core.records import whole_file
 
 BUDGET_S, BUDGET_AT = 0.020, 1_000_000
 VOCABULARY = 200_000
@@ -82,14 +83,12 @@ def write_corpus(corpus: Path, passages: int) -> None:
     words = vocabulary()
     weights = 1.0 / (np.arange(VOCABULARY) + SHIFT)
     bounds = np.cumsum(weights / weights.sum())
-    work = corpus.with_suffix(".tmp")
-    with work.open("w", encoding="utf-8") as stream:
+    with whole_file(corpus) as stream:
         for first in range(0, passages, BATCH):
             for number in range(first, min(first + BATCH, passages)):
                 drawn = np.searchsorted(bounds, random.random(int(random.integers(60, 101))))
                 text = " ".join(words[place] for place in np.minimum(drawn, VOCABULARY - 1))
-                stream.write(json.dumps({"id": number, "title": f"Passage {number}", "text": text}) + "\n")
-    work.replace(corpus)
+                stream.write(json.dumps({"id": number, "title": f"Passage {number}", "text": text}).encode() + b"\n")
 
 
 def vocabulary() -> list[str]:

@@ -20,6 +20,7 @@ from gem_core.errors import EpisodeFileError
 from gem_core.records.episode import Episode, Transition
 from gem_core.records.files import EpisodeFileWarning, EpisodeWriter, episode_lines, read_episodes, write_episodes
 from gem_core.records.plain_json import ImageFolder, to_plain
+from gem_core.records.whole_files import whole_file
 from gem_core.types import Response
 
 ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=30)
@@ -277,6 +278,22 @@ def test_what_contains_itself_is_cut_off_at_once() -> None:
     assert to_plain(circle) == {"a": "<contains itself>", "b": ["<contains itself>"]}
     shared = [1]
     assert to_plain([shared, shared]) == [[1], [1]]
+
+
+def test_a_file_that_fails_half_way_is_as_it_was(tmp_path: Path) -> None:
+    """Readers see the old content until the new one is complete; a link stays a link, and nothing else is left."""
+    path, link = tmp_path / "file", tmp_path / "link"
+    path.write_bytes(b"old")
+    link.symlink_to(path)
+    with pytest.raises(TypeError), whole_file(link) as file:
+        file.writelines([b"half", None])  # type: ignore[list-item]
+    assert path.read_bytes() == b"old"
+    with whole_file(link) as file:
+        file.write(b"new")
+        file.flush()
+        assert path.read_bytes() == b"old"
+    assert (path.read_bytes(), link.is_symlink()) == (b"new", True)
+    assert {each.name for each in tmp_path.iterdir()} == {"file", "link"}
 
 
 def test_a_file_has_one_writer_at_a_time(tmp_path: Path) -> None:

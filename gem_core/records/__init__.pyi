@@ -31,3 +31,4 @@ from .uncertainty import (
     standard_error as standard_error,
     wilson as wilson,
 )
+from .whole_files import whole_file as whole_file

@@ -17,6 +17,7 @@ from gem_core.errors import EpisodeFileError
 from gem_core.records.episode import Episode
 from gem_core.records.joint import Record, record_from_dict
 from gem_core.records.plain_json import ImageFolder
+from gem_core.records.whole_files import whole_file
 
 _continued: set[Path] = set()
 """Files that runs of this process have been resumed from, and that nobody has written to since."""
@@ -73,21 +74,16 @@ class EpisodeWriter:
         Raises:
             EpisodeFileError: The file cannot be written; it has not been changed.
         """
-        target = self.path.resolve()
-        partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
         try:
-            try:
-                with partial.open("wb") as file:
-                    for line in lines:
-                        file.write(line.rstrip(b"\n") + b"\n")
-                    file.flush()
-                    os.fsync(file.fileno())
-                    os.fchmod(file.fileno(), os.fstat(self._file.fileno()).st_mode & 0o7777)
+            with whole_file(self.path) as file:
+                for line in lines:
+                    file.write(line.rstrip(b"\n") + b"\n")
+                file.flush()
+                os.fsync(file.fileno())
+                os.fchmod(file.fileno(), os.fstat(self._file.fileno()).st_mode & 0o7777)
+                partial = Path(file.name)
                 renewed = partial.open("ab", buffering=0)
                 lock_file(renewed.fileno(), partial)  # before anybody else can find it under the name of the file
-                partial.replace(target)
-            finally:
-                partial.unlink(missing_ok=True)
         except OSError as error:
             raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
         self._file.close()

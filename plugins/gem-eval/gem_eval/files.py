@@ -1,33 +1,12 @@
-"""Files that are written whole or not at all, and new folders of runs."""
+"""Pages that are written whole or not at all, and new folders of runs."""
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
 
 from gem_core.errors import ArgumentError, EpisodeFileError
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all; see ``whole_file``."""
-    with whole_file(path) as file:
-        file.write(content)
-
-
-@contextmanager
-def whole_file(path: Path) -> Iterator[BinaryIO]:
-    """Open a file to write; it gets its name only when the block ends without an error."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with unfinished.open("xb") as file:
-            yield file
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+from gem_core.records import whole_file
 
 
 def write_page(path: Path, page: str) -> None:
@@ -38,7 +17,8 @@ def write_page(path: Path, page: str) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, page.encode("utf-8"))
+        with whole_file(path) as file:
+            file.write(page.encode("utf-8"))
     except OSError as error:
         raise ArgumentError(f"cannot write {path}: {error.strerror or error}") from error
 

@@ -10,10 +10,10 @@ import click
 
 from gem_core.cli import counted
 from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_core.records import whole_file
 from gem_eval.exporting.episodes import write_jsonl
 from gem_eval.exporting.inspect_log import Part, write_eval, write_json
 from gem_eval.exporting.tables import write_csv, write_parquet
-from gem_eval.files import whole_file
 from gem_eval.grouping import grouped
 from gem_eval.opening import warn_of_damage
 from gem_eval.records import Run, open_run

@@ -8,8 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gem_core.records import ImageFolder, record_from_dict
-from gem_eval.files import whole_file
+from gem_core.records import ImageFolder, record_from_dict, whole_file
 
 if TYPE_CHECKING:
     from gem_eval.records import Row, Run

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from gem_core import Episode
 from gem_core.errors import MissingRequirementError
-from gem_eval.files import whole_file
+from gem_core.records import whole_file
 from gem_eval.opening import opened
 from gem_eval.records import Row, Run
 from gem_eval.turns import parts_of, text_of

@@ -11,8 +11,7 @@ from typing import Any, Self
 
 from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records import ImageFolder, lock_holder, to_plain
-from gem_eval.files import write_whole
+from gem_core.records import ImageFolder, lock_holder, to_plain, whole_file
 from gem_eval.records.frames import frame_at, frames, pack, unpack
 from gem_eval.records.row import Row
 from gem_eval.records.run import EPISODES_FILE, IMAGES, INDEX_FILE, METRICS_FILE, RUN_FILE
@@ -132,7 +131,8 @@ class RunWriter:
     def _write_json(self, name: str, content: Mapping[str, Any]) -> None:
         text = json.dumps(to_plain(dict(content)), ensure_ascii=True, indent=1)
         try:
-            write_whole(self.path / name, text.encode("ascii") + b"\n")
+            with whole_file(self.path / name) as file:
+                file.write(text.encode("ascii") + b"\n")
         except OSError as error:
             raise EpisodeFileError(f"cannot write {self.path / name}: {error.strerror or error}") from error
 
