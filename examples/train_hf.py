@@ -54,7 +54,7 @@ from gem_core.records import PlanItem, write_episodes
 from gem_core.rollouts import default_plan
 from gem_train import TokenAgent, batches, estimators
 from gem_train.adapters import Generated
-from gem_train.reporting import MetricsLog, write_page
+from gem_train.reporting import MetricsLog, plot_run
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 DTYPE = "bfloat16" if DEVICE == "cuda" else "float32"
@@ -424,7 +424,7 @@ async def train(options):
             print(update, *(f"{name} {metrics[name]:.3g}" for name in SHOWN if name in metrics), sep="  ", flush=True)
             if not last and ((update + 1) % options.every == 0 or update + 1 == options.updates):
                 save_checkpoint(options, update + 1, model, tokenizer, optimizer)
-    print(f"The curves are in {write_page(options.out)}")
+    print(f"The curves are in {plot_run(options.out)}")
 
 
 # A toy task and a tiny model, to try it all without a download.

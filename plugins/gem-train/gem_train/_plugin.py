@@ -19,8 +19,8 @@ def gem_add_commands() -> Iterable[CommandSpec]:
         ),
         CommandSpec(
             name="train-study",
-            entry_point="gem_train.studies.command:command",
-            summary="Show claims about training by many small runs.",
+            entry_point="gem_train.gamma_study:command",
+            summary="Show a claim about training by many small runs.",
         ),
     ]
 

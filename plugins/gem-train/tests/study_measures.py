@@ -1,4 +1,4 @@
-"""What a process of a study measures in the tests: in a module that it can import."""
+"""What the processes of a study run in the tests: in a module that they can import."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import sys
 import threading
 from typing import Any
 
-from gem_train.learner.training import Training
+
+def double(number: int) -> dict[str, Any]:
+    """Return twice a number; 3 fails."""
+    if number == 3:
+        raise ValueError("three")
+    return {"double": 2 * number}
 
 
-def count_turns(training: Training) -> dict[str, Any]:
-    """Return how many turns an evaluation takes."""
-    return {"turns": sum(len(seat.turns) for seat in training.evaluate())}
-
-
-def wait_forever(training: Training) -> dict[str, Any]:
+def wait_forever() -> dict[str, Any]:
     """Say so, and never return."""
     sys.stdout.write("measuring\n")
     sys.stdout.flush()

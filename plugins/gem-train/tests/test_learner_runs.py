@@ -89,7 +89,7 @@ def test_a_folder_with_another_run_is_refused(tmp_path: Path):
         run.begin(tiny(wrappers=(len,)))
 
 
-def test_gem_train_from_the_first_update_to_the_page(gem_train: Any, capsys: pytest.CaptureFixture[str]):
+def test_gem_train_from_the_first_update_to_the_curves(gem_train: Any, capsys: pytest.CaptureFixture[str]):
     """Its metrics as JSON, the files of its folder, the same command again, and an agent that plays."""
     outcome = gem_train(*SMALL, "--out", "run", "--json")
     assert outcome.code == 0, outcome.err
@@ -99,9 +99,7 @@ def test_gem_train_from_the_first_update_to_the_page(gem_train: Any, capsys: pyt
     assert {"return", "success", "turns", "loss", "entropy", "kl", "seconds", "eval/success"} <= set(metrics)
     run = Path("run")
     assert (run / "curves.png").read_bytes().startswith(b"\x89PNG")
-    page = (run / "index.html").read_text()
-    assert "Say left or right." in page
-    assert "imitate_steps" in page
+    assert "Say left or right." in (run / "samples.jsonl").read_text()
     assert json.loads((run / "options.json").read_text())["imitate"] == "random"
     again = gem_train("--resume", "run")
     assert again.code == 0
@@ -153,12 +151,12 @@ def test_each_environment_has_its_own_evaluation(gem_train: Any):
     assert "had an error, and were left out" in only_evaluated.err
 
 
-def test_a_page_that_a_kill_prevented_is_drawn_later(gem_train: Any):
+def test_curves_that_a_kill_prevented_are_drawn_later(gem_train: Any):
     """By the command that finds the run complete."""
     gem_train(*SMALL, "--out", "run")
-    Path("run/index.html").unlink()
+    Path("run/curves.png").unlink()
     assert gem_train("--resume", "run").code == 0
-    assert Path("run/index.html").exists()
+    assert Path("run/curves.png").exists()
 
 
 WRONG = {

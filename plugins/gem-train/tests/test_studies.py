@@ -10,56 +10,39 @@ from functools import lru_cache
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 pytest.importorskip("torch")
 
-from study_measures import count_turns
+from study_measures import double
 
-from gem_train.learner.options import TrainOptions
-from gem_train.learner.training import Training, warm_start
-from gem_train.studies import gamma
-from gem_train.studies.jobs import Job, run_jobs
-
-TINY = {
-    "env": ("game:GuessTheNumber-v0",),
-    "updates": 1,
-    "episodes": 4,
-    "eval_episodes": 4,
-    "width": 8,
-    "heads": 2,
-    "context": 64,
-    "max_tokens": 4,
-    "feedback": True,
-    "memory": 1,
-    "imitate": None,
-}
+from gem_train import TrainOptions, gamma_study
+from gem_train.studies import run_all, train_measured
 
 
 def test_runs_are_kept_and_not_made_again(tmp_path: Path) -> None:
-    """A result of other options is made again, a kept one is not; runs that differ in the algorithm share a start."""
-    (tmp_path / "rebn.json").write_text(json.dumps({"options": {}, "measured": []}))
-    jobs = {
-        name: [Job(name, TrainOptions(**TINY, algorithm=name), count_turns, every=1)]  # type: ignore[arg-type]
-        for name in ("rebn", "reinforce")
-    }
-    first = run_jobs(jobs, tmp_path, workers=1, quiet=True)
-    assert [measured["update"] for measured in first["rebn"][0]["measured"]] == [0, 1]
-    assert len(first["rebn"][0]["curve"]) == 1
-    assert len(list(tmp_path.glob("start-*.pt"))) == 1
-    written = (tmp_path / "rebn.json").stat().st_mtime_ns
-    assert run_jobs(jobs, tmp_path, workers=1, quiet=True) == first
-    assert (tmp_path / "rebn.json").stat().st_mtime_ns == written
+    """What a killed study has half written is made again; a kept result is taken as it is."""
+    (tmp_path / "results.jsonl").write_text('{"setting": {"number": 2}, "result": {"double": 5}}\n{"setting": {"num')
+    settings = [{"number": 1}, {"number": 2}]
+    expected = [{"number": 1, "double": 2}, {"number": 2, "double": 5}]
+    assert run_all(double, settings, tmp_path, workers=1) == expected
+    assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 2
+    assert run_all(double, settings[::-1], tmp_path) == expected[::-1]
+
+
+def test_failed_run_keeps_what_ended_before(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="three"):
+        run_all(double, [{"number": 1}, {"number": 3}], tmp_path, workers=1)
+    assert json.loads((tmp_path / "results.jsonl").read_text())["result"] == {"double": 2}
 
 
 FOREVER = """
 from pathlib import Path
 from study_measures import wait_forever
-from gem_train.learner.options import TrainOptions
-from gem_train.studies.jobs import Job, run_jobs
+from gem_train.studies import run_all
 
 if __name__ == "__main__":
-    options = TrainOptions(env=("game:GuessTheNumber-v0",), imitate=None, updates=1, width=8, heads=2)
-    run_jobs({None: [Job("one", options, wait_forever, every=1)]}, Path("study"), workers=1, quiet=True)
+    run_all(wait_forever, [{}], Path("study"), workers=1)
 """
 
 
@@ -87,38 +70,47 @@ def fewest_turns(numbers: int) -> float:
 
 @pytest.mark.parametrize("numbers", [1, 2, 7, 8, 50])
 def test_optimum_is_that_of_the_best_search_tree(numbers: int) -> None:
-    assert gamma.optimal_turns(numbers) == pytest.approx(fewest_turns(numbers) / numbers)
+    assert gamma_study.optimal_turns(numbers) == pytest.approx(fewest_turns(numbers) / numbers)
 
 
-def test_unsolved_episodes_count_as_all_turns() -> None:
-    """A policy that has learnt nothing says nothing that can be read, and is not said to be quick."""
-    with Training(warm_start(TrainOptions(**TINY))) as training:
-        measured = gamma.measure(training)
-    assert (measured["mean_turns"], measured["success"]) == (10, 0)
-    assert [len(row) for row in measured["guesses"]] == [50, 50, 50]
+def test_bisection_halves_what_is_left() -> None:
+    assert [gamma_study.bisection_guesses(7, turn) for turn in (1, 2, 3)] == [[4], [2, 6], [1, 3, 5, 7]]
 
 
-def test_study_of_gamma_writes_its_table_page_and_figures(tmp_path: Path) -> None:
-    """From results that are there; the interval of one seed is over its episodes."""
-    for place, (algorithm, factor) in enumerate((("rebn", 0.9), ("reinforce", 0.9), ("rebn", 0.999))):
-        result = {
-            "options": gamma.options_of(algorithm, factor, 0).to_dict(),  # type: ignore[arg-type]
-            "seconds": 60.0,
-            "curve": [{"turns": 6.0}, {"turns": 5.0 + place}],
-            "measured": [
-                {
-                    "update": 130,
-                    "mean_turns": 4.9 + place,
-                    "deviation": 0.1,
-                    "success": 1.0,
-                    "guesses": [[1] * 50] * 3,
-                }
-            ],
-        }
-        (tmp_path / f"{algorithm}-{factor}-0.json").write_text(json.dumps(result))
-    rows = gamma.run(tmp_path, quick=True, seeds=1, workers=1, quiet=True)
+def test_policy_is_measured_before_while_and_after_it_learns() -> None:
+    """One that has learnt nothing says nothing that can be read: it counts as all turns, not as quick."""
+    options = TrainOptions(
+        env=("game:GuessTheNumber-v0",),
+        updates=3,
+        episodes=4,
+        eval_episodes=4,
+        width=8,
+        heads=2,
+        context=64,
+        max_tokens=4,
+        feedback=True,
+        memory=1,
+        imitate=None,
+    )
+    result = train_measured(options, gamma_study.measure, every=2)
+    assert [measured["update"] for measured in result["measured"]] == [0, 2, 3]
+    assert len(result["curve"]) == 3
+    assert [(measured["mean_turns"], measured["success"]) for measured in result["measured"]] == [(10, 0)] * 3
+    assert [len(row) for row in result["measured"][0]["guesses"]] == [50, 50, 50]
+
+
+def test_command_reports_kept_results(tmp_path: Path) -> None:
+    """The quick study has three settings; the interval of one seed is over its episodes."""
+    with (tmp_path / "results.jsonl").open("w") as file:
+        for place, (algorithm, gamma) in enumerate(gamma_study.QUICK_SETTINGS):
+            measured = {"mean_turns": 4.9 + place, "error": 0.1, "success": 1.0, "guesses": [[1] * 50] * 3}
+            result = {"curve": [{"turns": 6.0}, {"turns": 5.0}], "measured": [measured], "seconds": 60.0}
+            setting = {"algorithm": algorithm, "gamma": gamma, "seed": 0}
+            file.write(json.dumps({"setting": setting, "result": result}) + "\n")
+    called = CliRunner().invoke(gamma_study.command, ["gamma", "--quick", "--json", "--out", str(tmp_path)])
+    rows = json.loads(called.stdout)
     assert rows[0] == {
-        "algorithm": "rebn",
+        "algorithm": "ReBN",
         "gamma": 0.9,
         "mean_turns": 4.9,
         "low": pytest.approx(4.704),
@@ -127,6 +119,5 @@ def test_study_of_gamma_writes_its_table_page_and_figures(tmp_path: Path) -> Non
         "optimum": pytest.approx(4.86),
         "seconds": 60.0,
     }
-    assert [row["mean_turns"] for row in rows] == [4.9, 5.9, 6.9]
-    assert {path.name for path in tmp_path.glob("*.png")} == {"turns.png", "curves.png", "guesses.png"}
-    assert "Return Batch Normalization" in (tmp_path / "index.html").read_text()
+    assert [(row["algorithm"], row["mean_turns"]) for row in rows[1:]] == [("REINFORCE", 5.9), ("ReBN", 6.9)]
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")

@@ -95,8 +95,8 @@ A new policy writes random text, which no environment can read: so it first imit
 at random unless --imitate names another. It reads the conversation so far, or what a view in --wrappers
 shows.
 \b
-The folder of the run has options.json, metrics.jsonl, samples.jsonl, checkpoint.pt, curves.png and
-index.html. Ctrl-C keeps a checkpoint. The same command with --out, or --resume FOLDER, goes on, and
+The folder of the run has options.json, metrics.jsonl, samples.jsonl, checkpoint.pt and
+curves.png. Ctrl-C keeps a checkpoint. The same command with --out, or --resume FOLDER, goes on, and
 ends with the metrics and weights of a run that was never stopped (with --overlap nearly).
 \b
 Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
@@ -311,7 +311,7 @@ def _print_end(metrics: Mapping[str, float | None], options: TrainOptions, folde
     echo_line(f"last update: {_line(metrics)}")
     for prefix in dict.fromkeys(f"{name.rpartition('/')[0]}/" for name in metrics if name.startswith("eval/")):
         echo_line(f"evaluation{prefix.removeprefix('eval').rstrip('/').replace('/', ' of ')}: {_line(metrics, prefix)}")
-    echo_line(f"page: {folder / 'index.html'}")
+    echo_line(f"curves: {folder / 'curves.png'}")
     again = ["gem", "run", options.env[0], "--agent", f"train:{folder}"]
     if options.wrappers:
         again += ["--wrappers", json.dumps(options.to_dict()["wrappers"])]

@@ -33,8 +33,7 @@ def train(
 
     Args:
         options: Of the run.
-        folder: ``options.json``, ``metrics.jsonl``, ``samples.jsonl``, ``checkpoint.pt``, ``curves.png``,
-            ``index.html``.
+        folder: ``options.json``, ``metrics.jsonl``, ``samples.jsonl``, ``checkpoint.pt``, ``curves.png``.
         tensorboard: Whether to write for TensorBoard as well.
         wandb: A project of Weights & Biases to log to as well.
         on_imitation: Called with the number of each step of imitation, from 0, and its loss.

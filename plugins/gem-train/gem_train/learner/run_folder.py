@@ -1,4 +1,4 @@
-"""The folder of a run: options, metrics, samples of episodes, the last checkpoint, curves and a page."""
+"""The folder of a run: options, metrics, samples of episodes, the last checkpoint, curves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gem_core.errors import ArgumentError
 from gem_train.learner.learning import Learner
 from gem_train.learner.options import TrainOptions
 from gem_train.learner.playing import Played, text_of
-from gem_train.reporting import plot_run, truncate_jsonl, write_page
+from gem_train.reporting import plot_run, truncate_jsonl
 
 _SAMPLES = 2
 
@@ -89,6 +89,5 @@ class RunFolder:
         truncate_jsonl(self._samples, update)
 
     def draw(self) -> None:
-        """Write ``curves.png`` and ``index.html``."""
+        """Write ``curves.png``."""
         plot_run(self.path)
-        write_page(self.path)

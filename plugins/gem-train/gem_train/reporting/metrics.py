@@ -37,7 +37,7 @@ class MetricsLog:
         self._board = _open_tensorboard(self._board_folder) if tensorboard else None
         self._wandb = _open_wandb(folder, wandb) if wandb is not None else None
         self._path = folder / METRICS_FILE
-        _cut_half_line(self._path)
+        cut_half_line(self._path)
         self._file = self._path.open("a", encoding="utf-8")
 
     def write(self, update: int, metrics: Mapping[str, float]) -> None:
@@ -101,7 +101,7 @@ def truncate_jsonl(path: Path, update: int) -> None:
 
     For what a run writes beside its metrics, as ``samples.jsonl``.
     """
-    _cut_half_line(path)
+    cut_half_line(path)
     if not path.exists():
         return
     kept = 0
@@ -113,7 +113,7 @@ def truncate_jsonl(path: Path, update: int) -> None:
         file.truncate(kept)
 
 
-def _cut_half_line(path: Path) -> None:
+def cut_half_line(path: Path) -> None:
     """Remove a last line whose end is missing: its process was killed while it wrote."""
     if path.exists():
         with path.open("r+b") as file:
