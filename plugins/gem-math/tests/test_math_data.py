@@ -14,7 +14,7 @@ import pytest
 
 import gem_core as gem
 from gem_math import MathEnv, grade
-from gem_math.grading import gold_texts
+from gem_math.grading import formulas, gold_texts
 from gem_math.grading.compare import Comparison
 from gem_math.grading.readings import readings
 from gem_math.grading.text import clean
@@ -51,7 +51,9 @@ def test_gold_answer_is_right_for_its_row(name: str):
     for gold in golds(name):
         right = grade(f"\\boxed{{{text_of(gold)}}}", gold, timeout_s=20).correct
         gold_forms, answer_forms = readings(clean(gold_texts(gold)[0]), clean(text_of(gold)))
-        if not right or (text_of(gold) not in UNREADABLE and not Comparison().same(gold_forms[0], answer_forms[0])):
+        if not right or (
+            text_of(gold) not in UNREADABLE and not Comparison(formulas).same(gold_forms[0], answer_forms[0])
+        ):
             wrong.append(gold)
     assert wrong == []
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from gem_core.errors import GradingError
 from gem_math import grading
-from gem_math.grading import grade
+from gem_math.grading import formulas, grade
 from gem_math.grading.readings import compare_texts
 from gem_math.grading.text import clean
 from gem_math.processes.pool import Pool
@@ -165,8 +165,8 @@ def test_an_answer_runs_no_code(tmp_path: Path, code: str, wrapped: str):
     assert grade(boxed(answer), "6", timeout_s=5).correct is False
     assert grade(boxed("6"), answer, timeout_s=5).correct is False
     # And without the sandbox around the process.
-    compare_texts(clean(answer), "1", False)
-    compare_texts("1", clean(answer), False)
+    compare_texts(clean(answer), "1", False, formulas)
+    compare_texts("1", clean(answer), False, formulas)
     assert not target.exists()
 
 

@@ -11,16 +11,15 @@ from typing import Any
 
 from gem_core.errors import GradingError
 from gem_core.parsing import extract_last_boxed_answer, without_thinking
+from gem_math.grading.compare import NeedsParserError
 from gem_math.grading.extraction import boxes_of, extract_answer
-from gem_math.grading.quantities import Leaf, equal_pairs, number_of, read_quantity
+from gem_math.grading.readings import compare_texts
 from gem_math.grading.text import UnreadableError, clean, walk
 from gem_math.processes.pool import EndedError, Pool
 
 MAX_ANSWER_CHARS = 4000
-_MANY_PLACES = re.compile(r"\.\d{6}")
-# What begins with a number and has no separator; thousands are none.
-_THOUSANDS = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?:,\d{3})+(?![\d,])")
-_MAY_BE_QUANTITY = re.compile(r"-?\s*(?:\\\$|\\frac|\d|\.\d)[^,;:=<>&|+-]*$")
+_MAX_CHARS_HERE = 300
+"""Longer texts are compared by a process with a limit of time: some of what reads them takes quadratic time."""
 _ALIKE, _EQUALS = "it is written like the reference", "it equals the reference"
 _DIFFERS = "it is not the reference"
 
@@ -170,15 +169,16 @@ def _grade_one(answer: str, gold: str, timeout_s: float, partial_credit: bool) -
     gold, answer_text = clean(gold), clean(answer)
     if _spelling(gold) == _spelling(answer_text):
         return Grade(1.0, True, answer, _ALIKE)
-    quick = _quick_verdict(gold, answer_text)
-    if quick is not None:
-        return Grade(float(quick), quick, answer, _EQUALS if quick else _DIFFERS)
-    request = {"gold": gold, "answer": answer_text, "partial_credit": partial_credit}
-    try:
-        verdict = _pool.ask(request, timeout_s)
-    except EndedError as error:
-        reason = f"more than {timeout_s:g} s" if error.late else "more memory than a comparison may"
-        verdict = {"reward": 0.0, "note": f"it takes {reason}"}
+    reward = _compared_here(gold, answer_text, partial_credit)
+    if reward is not None:
+        verdict: dict[str, Any] = {"reward": reward, "note": ""}
+    else:
+        request = {"gold": gold, "answer": answer_text, "partial_credit": partial_credit}
+        try:
+            verdict = _pool.ask(request, timeout_s)
+        except EndedError as error:
+            reason = f"more than {timeout_s:g} s" if error.late else "more memory than a comparison may"
+            verdict = {"reward": 0.0, "note": f"it takes {reason}"}
     if "raised" in verdict:
         raise RuntimeError(verdict["raised"])
     if verdict["reward"] == 1.0:
@@ -187,21 +187,14 @@ def _grade_one(answer: str, gold: str, timeout_s: float, partial_credit: bool) -
     return Grade(verdict["reward"], False, answer, note if verdict["note"] else _DIFFERS)
 
 
-def _quick_verdict(gold: str, answer: str) -> bool | None:
-    """Compare two numbers with known units, if any; None of anything else."""
-    one, other = _quick_leaf(gold), _quick_leaf(answer)
-    # Many places may stand for a number that has no end as a decimal.
-    if one is None or other is None or _MANY_PLACES.search(f"{gold} {answer}"):
+def _compared_here(gold: str, answer: str, partial_credit: bool) -> float | None:
+    """Compare what is short and has no formulas, as numbers, words and lists of them; None of anything else."""
+    if max(len(gold), len(answer)) > _MAX_CHARS_HERE:
         return None
-    pairs = [(number_of(first), number_of(second)) for first, second in equal_pairs(one, other)]
-    return None if any(None in pair for pair in pairs) else any(first == second for first, second in pairs)
-
-
-@lru_cache(maxsize=4096)  # a gold answer comes with many answers
-def _quick_leaf(text: str) -> Leaf | None:
-    text = _THOUSANDS.sub(lambda match: match[0].replace(",", ""), text)
-    leaf = read_quantity(text) if _MAY_BE_QUANTITY.match(text) else None
-    return leaf if leaf is not None and not (leaf.unit is not None and leaf.unit.nouns) else None
+    try:
+        return compare_texts(gold, answer, partial_credit)[0]
+    except (NeedsParserError, ValueError):  # Python writes no number of more than 4300 digits
+        return None
 
 
 def _spelling(text: str) -> str:

@@ -1,14 +1,16 @@
-r"""Compares two forms part by part, in a process of the pool: formulas may take forever."""
+r"""Compares two forms part by part.
+
+Numbers, words and what consists of these are compared wherever this runs. Formulas need ``gem_math.grading.formulas``,
+which may take forever and is there in the processes of the pool alone.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import Any
 
-import sympy  # type: ignore[import-untyped]
-
-from gem_math.grading import formulas, regions
 from gem_math.grading.forms import (
     Cases,
     Choice,
@@ -19,18 +21,21 @@ from gem_math.grading.forms import (
     Opaque,
     Parts,
     Words,
+    is_interval,
+    is_region,
+    name_of,
 )
 from gem_math.grading.quantities import Leaf, equal_pairs, exact, is_numeric, number_of
-from gem_math.grading.regions import is_interval, is_region, name_of
 from gem_math.grading.structure import read, read_words
 from gem_math.grading.text import text_inside
 
 _MAX_PARTS = 60
 # An answer that has so many more characters than the gold one is no formula that equals it.
 _MAX_MORE = 500
-# Six decimals are as many as math-verify compares; fewer are a rounded number, which is another one.
-_MIN_DECIMALS = 6
 _DECIMAL = re.compile(r"^[-+]?\d*\.(\d+)$")
+# Six decimals are as many as math-verify compares, fewer are a rounded number, which is another one; of more than 45
+# the parser, which has 50 digits, is not sure.
+_LONG_DECIMAL = re.compile(r"^[-+]?\d*\.(\d{6,45})$")
 _CLOCK = re.compile(r"^\d{1,2}:\d\d$")
 _FILLERS = {"is", "are", "a", "an", "be", "number", "integer", "if", "for", "when", "where"}
 _SHORT_WORDS = set(
@@ -46,10 +51,27 @@ _UNORDERED = {"list", "or", "set"}
 Row = tuple[Form, Form | None]
 
 
-class Comparison:
-    """Compares an answer with a gold answer; ``note`` says why a pair of formulas could not be compared, if one was."""
+class NeedsParserError(Exception):
+    """A formula has to be read, which this process does not do."""
 
-    note = ""
+
+class Comparison:
+    """Compares an answer with a gold answer; ``note`` says why a pair of formulas could not be compared, if one was.
+
+    Args:
+        parser: The module ``gem_math.grading.formulas``. Without it, whatever needs it raises NeedsParserError.
+    """
+
+    def __init__(self, parser: ModuleType | None) -> None:
+        self._parser = parser
+        self.note = ""
+
+    @property
+    def parser(self) -> ModuleType:
+        """What reads and compares formulas."""
+        if self._parser is None:
+            raise NeedsParserError
+        return self._parser
 
     def same(self, gold: Form, answer: Form) -> bool:
         """Return whether the answer is the gold one."""
@@ -101,12 +123,21 @@ class Comparison:
             return _INFINITIES.get(one) == _INFINITIES.get(other)
         if len(one) == len(other) == 1 and one.isalpha():
             return letter_of(Leaf(one)) == letter_of(Leaf(other))
-        if (near := _rounded(gold, answer)) is not None:
+        if (near := self.rounded(gold, answer)) is not None:
             return near
         numbers = number_of(gold), number_of(answer)
         if None not in numbers:
             return numbers[0] == numbers[1]
-        return len(answer) <= _MAX_MORE + 2 * len(gold) and self.ask(formulas.same, gold, answer)
+        return len(answer) <= _MAX_MORE + 2 * len(gold) and self.ask(self.parser.same, gold, answer)
+
+    def rounded(self, gold: str, answer: str) -> bool | None:
+        """Compare a decimal of many places with what has no end as a decimal; None where it is none of these."""
+        for decimal, other in ((answer, gold), (gold, answer)):
+            match = _LONG_DECIMAL.match(decimal)
+            if match is not None and not _DECIMAL.match(other) and is_numeric(other):
+                near: bool | None = self.parser.rounds_to(other, decimal, len(match[1]))
+                return near
+        return None
 
     def choices(self, gold: Form, answer: Form) -> bool:
         """Compare where one is the letter of a multiple choice, or a label: it, and what stands behind it."""
@@ -151,12 +182,8 @@ class Comparison:
             return False
         if not (is_numeric(step.text) and is_numeric(value.text)) or self.leaves(value, step):
             return False
-        # The last of x = 1/3 = 0.33 is rounded.
-        first, second = formulas.value(step.text), formulas.value(value.text)
-        if first is None or second is None:
-            return False
-        places = _DECIMAL.fullmatch(value.text)
-        return places is None or not bool(abs(first - second) < sympy.Rational(1, 10 ** len(places[1])))
+        decimal = _DECIMAL.fullmatch(value.text)
+        return bool(self.parser.contradict(step.text, value.text, len(decimal[1]) if decimal else None))
 
     def equations(self, gold: Equality, answer: Equality) -> bool:
         """Compare two equations: their sides may be turned, moved and multiplied."""
@@ -164,7 +191,7 @@ class Comparison:
             return False
         if _bare("=".join(gold.sides)) == _bare("=".join(answer.sides)):
             return True
-        return self.ask(formulas.same_equation, gold.sides, answer.sides)
+        return self.ask(self.parser.same_equation, gold.sides, answer.sides)
 
     def regions(self, gold: Form, answer: Form) -> bool:
         """Compare where one says where letters lie: as multiples of one another, or as sets of one letter's values."""
@@ -174,7 +201,7 @@ class Comparison:
         units = {form.unit for form in (gold, answer) if isinstance(form, Inequality) and form.unit is not None}
         if len(units) > 1:
             return False
-        if self.ask(regions.same_conditions, gold, answer, name):
+        if self.ask(self.parser.same_conditions, gold, answer, name):
             return True
         if isinstance(gold, Parts) and isinstance(answer, Parts):
             # Intervals side by side are their union, but two points are none.
@@ -183,7 +210,7 @@ class Comparison:
                 return False
             if self.matched(gold.items, answer.items):
                 return True
-        return self.ask(regions.same_sets, gold, answer)
+        return self.ask(self.parser.same_sets, gold, answer)
 
     def parts(self, gold: Form, answer: Form) -> bool:
         """Compare where one side has several parts."""
@@ -314,7 +341,7 @@ class Comparison:
         if any(isinstance(form, Parts) and _CLOCK.match(form.text) for form in (gold, answer)):
             return False
         (first, *others), (first_answer, *other_answers) = (
-            [_factor(part) for part in _items(form)] for form in (gold, answer)
+            [self.factor(part) for part in _items(form)] for form in (gold, answer)
         )
         return (
             all([first, first_answer, *others, *other_answers])
@@ -324,6 +351,11 @@ class Comparison:
                 for one, other in zip(others, other_answers, strict=True)
             )
         )
+
+    def factor(self, form: Form) -> str:
+        """Return the formula of a part of a ratio that is a number, and not zero; nothing of others."""
+        plain = isinstance(form, Leaf) and form.base is None and not form.percent
+        return form.text if isinstance(form, Leaf) and plain and self.parser.value(form.text) not in {None, 0} else ""
 
     def words(self, gold: Form, answer: Form) -> bool:
         """Compare words, letters and products; letters side by side may be either: RC is CR."""
@@ -393,22 +425,6 @@ def _renamed(name: str, answer: Equality) -> Form | None:
     return read("".join(ours[2] if token == theirs[2] else token for token in tokens))
 
 
-def _rounded(gold: str, answer: str) -> bool | None:
-    """Compare a decimal of six places or more with what has no end as a decimal; None where it is none of these."""
-    for decimal, other in ((answer, gold), (gold, answer)):
-        match = _DECIMAL.match(decimal)
-        if match is None or _DECIMAL.match(other) or not _MIN_DECIMALS <= len(match[1]) <= 45 or not is_numeric(other):
-            continue
-        value = formulas.value(other)
-        if value is None or (value.is_Rational and not set(sympy.primefactors(value.q)) - {2, 5}):
-            return None
-        # Zeros in front tell nothing: 0.000001 is no third of it.
-        if not value.is_real or len(decimal.lstrip("+-").replace(".", "").lstrip("0")) < _MIN_DECIMALS:
-            return False
-        return bool(abs(value - sympy.Rational(decimal)) <= sympy.Rational(1, 10 ** len(match[1])))
-    return None
-
-
 def _is_product(run: str) -> bool:
     """Whether a run of letters may be a product as well as a word."""
     return re.fullmatch(r"[A-Za-z]{2,4}", run) is not None and run.lower() not in _SHORT_WORDS
@@ -433,12 +449,6 @@ def _text_of(form: Form) -> str:
     if isinstance(form, Opaque):
         return "" if form.has_words else form.text
     return form.text if isinstance(form, Inequality) or (isinstance(form, Parts) and form.kind == "matrix") else ""
-
-
-def _factor(form: Form) -> str:
-    """Return the formula of a part of a ratio that is a number, and not zero."""
-    plain = isinstance(form, Leaf) and form.base is None and not form.percent
-    return form.text if isinstance(form, Leaf) and plain and formulas.value(form.text) not in {None, 0} else ""
 
 
 def _words(condition: Form | None) -> list[str] | None:

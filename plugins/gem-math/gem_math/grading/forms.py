@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gem_math.grading.quantities import Leaf, Unit
+from gem_math.grading.text import is_name, plain_name
 
 
 @dataclass(frozen=True)
@@ -104,3 +105,26 @@ Form = Leaf | Words | Choice | Parts | Equality | Inequality | Congruence | Case
 def spread(form: Form) -> tuple[Form, ...]:
     """Return the things that stand side by side; what is one thing, alone."""
     return form.items if isinstance(form, Parts) and form.kind in {"list", "or"} else (form,)
+
+
+def is_region(form: Form) -> bool:
+    """Whether a form says where a letter lies, as no other does."""
+    if isinstance(form, Parts) and form.kind in {"list", "or"}:
+        return any(map(is_region, form.items))
+    return isinstance(form, Inequality) or (isinstance(form, Parts) and form.kind == "union")
+
+
+def is_interval(form: Form) -> bool:
+    """Whether a pair in brackets is no point."""
+    if not isinstance(form, Parts) or len(form.items) != 2:
+        return False
+    return form.kind in {"[)", "(]", "[]"} or any(isinstance(end, Leaf) and "infty" in end.text for end in form.items)
+
+
+def name_of(form: Form) -> str:
+    """Return the name of what lies somewhere; nothing where there is none, or a formula."""
+    if isinstance(form, Inequality):
+        names = [side for side in (form.sides[1:2] if len(form.sides) > 2 else form.sides) if is_name(side)]
+        return plain_name(names[0]) if len(names) == 1 and "|" not in names[0] else ""
+    found = {name_of(item) for item in form.items} if isinstance(form, Parts) and form.items else {""}
+    return found.pop() if len(found) == 1 else ""

@@ -1,4 +1,6 @@
-r"""Compares formulas: read by math-verify's grammar into sympy's trees, and evaluated to 50 digits at several points.
+r"""Compares formulas, and sets of numbers that these describe.
+
+Formulas are read by math-verify's grammar into sympy's trees, and evaluated to 50 digits at several points.
 
 Runs in the processes of the pool alone, since any of it may take forever. Doubles, and NumPy with them, would be faster
 and cannot tell x^2 + 10^{-17} from x^2; reading takes ten times as long as either.
@@ -10,6 +12,7 @@ import re
 import zlib
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import mpmath  # type: ignore[import-untyped]  # none of these packages has types
@@ -23,11 +26,16 @@ from latex2sympy2_extended.math_normalization import (  # type: ignore[import-un
 from math_verify import verify  # type: ignore[import-untyped]
 from sympy.core.function import AppliedUndef  # type: ignore[import-untyped]
 
+from gem_math.grading.forms import Form, Inequality, Parts
+from gem_math.grading.quantities import Leaf
+
 _DIGITS = mpmath.mp.dps = 50
 _EQUAL = mpmath.mpf(10) ** -35
 _NEAR, _FAR, _WHOLE = range(4), range(4, 10), range(64)
 _UNFINISHED = (sympy.Sum, sympy.Product, sympy.Integral, sympy.Limit, sympy.Derivative)
 _WHOLE_ONLY = (sympy.factorial, sympy.binomial, sympy.floor, sympy.ceiling)
+_INTERVALS = {"()", "[)", "(]", "[]"}
+_RELATIONS = {"<": sympy.Lt, ">": sympy.Gt, "<=": sympy.Le, ">=": sympy.Ge, "!=": sympy.Ne}
 _UNDEFINED = (sympy.nan, sympy.zoo)
 _NO_NUMBER = (*_UNFINISHED, AppliedUndef, sympy.oo, -sympy.oo)
 
@@ -169,6 +177,25 @@ def value(text: str) -> Any:
     if not isinstance(tree, sympy.Expr) or tree.free_symbols or tree.has(*_NO_NUMBER):
         return None
     return tree if tree.is_Rational else tree.evalf(_DIGITS)
+
+
+def contradict(step: str, last: str, places: int | None) -> bool:
+    """Return whether two numbers differ, the last of which may be rounded to some decimal places: x = 1/3 = 0.33."""
+    first, second = value(step), value(last)
+    if first is None or second is None:
+        return False
+    return places is None or not bool(abs(first - second) < sympy.Rational(1, 10**places))
+
+
+def rounds_to(text: str, decimal: str, places: int) -> bool | None:
+    """Return whether a number without an end as a decimal has these places; None of any other number or formula."""
+    number = value(text)
+    if number is None or (number.is_Rational and not set(sympy.primefactors(number.q)) - {2, 5}):
+        return None
+    # Zeros in front tell nothing: 0.000001 is no third of it.
+    if not number.is_real or len(decimal.lstrip("+-").replace(".", "").lstrip("0")) < 6:
+        return False
+    return bool(abs(number - sympy.Rational(decimal)) <= sympy.Rational(1, 10**places))
 
 
 def same_equation(gold: tuple[str, str], answer: tuple[str, str]) -> bool:
@@ -325,3 +352,94 @@ def _letter_value(name: str, point: int, whole: bool) -> Any:
         return mpmath.mpf((30 + seed % 37) * 20 ** ((point - 4) // 2)) * (-1) ** point
     number = mpmath.mpf(101 + seed % 7919) / (1009 + (seed >> 13) % 3001)
     return -number if point == 1 else number + 3 * (point == 2)
+
+
+def same_conditions(gold: Form, answer: Form, name: str) -> bool:
+    """Return whether inequalities, or an interval of ``name``, say the same: each is a positive multiple of another's.
+
+    Raises:
+        Exception: Of any kind, where a formula cannot be read.
+    """
+    golds, left = _conditions(gold, name), _conditions(answer, name)
+    if not golds or len(golds) != len(left):
+        return False
+    for tree, strict in golds:
+        fit = (
+            index
+            for index, (other, other_strict) in enumerate(left)
+            if strict == other_strict and (factor := ratio(tree, other)) is not None and factor.real > 0
+        )
+        found = next(fit, None)
+        if found is None or not tree.free_symbols:
+            return False
+        del left[found]
+    return True
+
+
+def _conditions(form: Form, name: str) -> list[tuple[Any, bool]]:
+    """Return formulas that are more than zero, and whether each is never zero; none of what says more, or less."""
+    pairs: list[tuple[str, str, bool]] = []
+    if isinstance(form, Inequality) and set(form.signs) <= {"<", ">", "<=", ">="}:
+        for sides, sign in zip(pairwise(form.sides), form.signs, strict=True):
+            more, less = sides if sign[0] == ">" else sides[::-1]
+            pairs.append((more, less, len(sign) == 1))
+    elif name and (ends := _ends(form)) is not None:
+        (low, low_open), (high, high_open) = ends
+        pairs += [] if "infty" in low else [(name, low, low_open)]
+        pairs += [] if "infty" in high else [(high, name, high_open)]
+    return [(parse(more) - parse(less), strict) for more, less, strict in pairs]
+
+
+def _ends(form: Form) -> tuple[tuple[str, bool], tuple[str, bool]] | None:
+    """Return the ends of an interval, each with whether it is left out; None of anything else."""
+    if not isinstance(form, Parts) or form.kind not in _INTERVALS or len(form.items) != 2:
+        return None
+    low, high = form.items
+    if not isinstance(low, Leaf) or not isinstance(high, Leaf):
+        return None
+    return (low.text, form.kind[0] == "("), (high.text, form.kind[1] == ")")
+
+
+def same_sets(gold: Form, answer: Form) -> bool:
+    """Return whether two forms are the same set of numbers, of the same letter if both name one.
+
+    Raises:
+        Exception: Of any kind, where a formula cannot be read, or a set is too hard.
+    """
+    (name, one), (other_name, other) = _set_of(gold), _set_of(answer)
+    if sympy.S.EmptySet in {one, other} or (name and other_name and name != other_name):
+        return False
+    return bool(one == other or one.symmetric_difference(other) is sympy.S.EmptySet)
+
+
+def _set_of(form: Form) -> tuple[str, Any]:
+    """Return the letter of which a form says where it lies, if it names one, and the set; empty of anything else."""
+    if isinstance(form, Inequality):
+        return _set_of_letter(form)
+    if (ends := _ends(form)) is not None:
+        (low, low_open), (high, high_open) = ends
+        closed_at_infinity = ("infty" in low and not low_open) or ("infty" in high and not high_open)
+        found = sympy.Interval(parse(low), parse(high), low_open, high_open)
+        return "", sympy.S.EmptySet if closed_at_infinity else found
+    if not isinstance(form, Parts):
+        return "", sympy.S.EmptySet
+    if form.kind == "set":
+        return "", sympy.FiniteSet(*(parse(item.text) for item in form.items if isinstance(item, Leaf)))
+    names, sets = zip(*map(_set_of, form.items), strict=True)
+    if form.kind not in {"list", "or", "union"} or sympy.S.EmptySet in sets or len(set(names)) != 1:
+        return "", sympy.S.EmptySet
+    # x < 1, x > 3 is one or the other, and x > 1, x < 3 both.
+    both = sympy.Intersection(*sets)
+    return names[0], both if form.kind == "list" and names[0] and both is not sympy.S.EmptySet else sympy.Union(*sets)
+
+
+def _set_of_letter(form: Inequality) -> tuple[str, Any]:
+    """Return the one letter of inequalities that all hold, and the set of its values; empty where there are more."""
+    pairs = (
+        list(pairwise(form.sides)) if set(form.signs) != {"!="} else [(form.sides[0], side) for side in form.sides[1:]]
+    )
+    trees = [(parse(left), sign, parse(right)) for (left, right), sign in zip(pairs, form.signs, strict=True)]
+    letters = {letter for left, _, right in trees for letter in (left - right).free_symbols}
+    if len(letters) != 1:
+        return "", sympy.S.EmptySet
+    return str(letters.pop()), sympy.And(*(_RELATIONS[sign](left, right) for left, sign, right in trees)).as_set()

@@ -15,6 +15,8 @@ from gem_math.grading.text import has_words, text_inside, words_of
 _MAX_BITS = 60_000
 _MAX_NUMBER_CHARS = 200
 _NUMBER_PARTS: list[tuple[re.Pattern[str], str | Callable[[re.Match[str]], str]]] = [
+    # Thousands; those outside brackets are joined already.
+    (re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?:,\d{3})+(?![\d,])"), lambda match: match[0].replace(",", "")),
     (re.compile(r"\\frac\s*(\d)"), r"\\frac{\1}"),
     (re.compile(r"(\\frac\s*\{[^{}]*\})\s*(\d)"), r"\1{\2} "),
     (re.compile(r"(?<![\d.)}])(\d+)\s*\\frac\s*\{(\d+)\}\{(\d+)\}"), r"(\1+(\2)/(\3))"),

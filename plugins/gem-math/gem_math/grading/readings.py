@@ -3,8 +3,8 @@ r"""Compares two texts in all the ways in which they may be read: decimal commas
 from __future__ import annotations
 
 import re
+from types import ModuleType
 
-from gem_math.grading import formulas
 from gem_math.grading.compare import Comparison
 from gem_math.grading.forms import Form, Parts
 from gem_math.grading.quantities import Leaf, exact, is_numeric
@@ -31,14 +31,23 @@ _MAX_DECLARATION = 120
 _NAME = re.compile(r"^\s*[A-Za-z]\s*=")
 
 
-def compare_texts(gold: str, answer: str, partial_credit: bool) -> tuple[float, str]:
+def compare_texts(gold: str, answer: str, partial_credit: bool, parser: ModuleType | None = None) -> tuple[float, str]:
     """Compare two texts, after ``clean``.
+
+    Args:
+        gold: The reference.
+        answer: The answer.
+        partial_credit: Whether some of several parts count.
+        parser: The module ``gem_math.grading.formulas``, in a process that may be ended.
 
     Returns:
         1 where they are the same, or the fraction of the parts that are right; and why a pair of formulas could not be
         compared, if one was.
+
+    Raises:
+        NeedsParserError: There are formulas, and no parser.
     """
-    comparison = Comparison()
+    comparison = Comparison(parser)
     golds, answers = readings(gold, answer)
     if any(comparison.same(one, other) for one in golds for other in answers):
         return 1.0, ""
@@ -90,7 +99,7 @@ def _same_for_any_whole(comparison: Comparison, gold: str, answer: str) -> bool:
         return True
     names = {match[0].strip(" =") for match in map(_NAME.match, (gold, answer)) if match is not None}
     values = [_NAME.sub("", text) for text in (gold, answer)]
-    return len(names) < 2 and Comparison().ask(formulas.same_progression, *values, ours)
+    return len(names) < 2 and comparison.ask(comparison.parser.same_progression, *values, ours)
 
 
 def _undeclared(text: str) -> tuple[str, str | None]:

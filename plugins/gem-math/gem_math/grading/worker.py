@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from gem_math.grading import formulas
 from gem_math.grading.readings import compare_texts
 
 _TYPICAL = [
@@ -32,7 +33,7 @@ def load() -> Callable[[dict[str, Any]], dict[str, Any]]:
     sys.set_int_max_str_digits(20_000)
     # The grammar fills its caches as it reads: the first formula of a kind takes a tenth of a second.
     for gold, answer in _TYPICAL:
-        compare_texts(gold, answer, False)
+        compare_texts(gold, answer, False, formulas)
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     return _Handler()
@@ -48,7 +49,7 @@ class _Handler:
         if not self.guarded:
             sys.addaudithook(refuse)
             self.guarded = True
-        reward, note = compare_texts(request["gold"], request["answer"], request["partial_credit"])
+        reward, note = compare_texts(request["gold"], request["answer"], request["partial_credit"], formulas)
         return {"reward": reward, "note": note}
 
 
