@@ -31,12 +31,6 @@ MAX_LINES = 800
 # Tests go through what users have. These do not, since nothing public shows or sets what they need; others are refused.
 # Not ours are names of TextArena, Gymnasium and threading.
 PRIVATE_IN_TESTS = {
-    "plugins/gem-games/tests/test_textarena_mends.py": {
-        "_count_solutions",
-        "_generate_board",
-        "_generate_random_puzzle",
-        "_is_solvable",
-    },
     "plugins/gem-games/tests/test_fifteen_puzzle.py": {"_put"},
     "plugins/gem-games/tests/test_minesweeper.py": {"_set_mines"},
     "plugins/gem-games/tests/test_sokoban.py": {"_set_cells"},

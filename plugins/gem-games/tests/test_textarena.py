@@ -1,26 +1,62 @@
-"""TextArena: the table of ids, the fence, and that episodes are the same in another process."""
+"""TextArena's games, one contract for all: valid random moves, what a seat may see, generators of their own."""
 
 from __future__ import annotations
 
-import copy
 import importlib.metadata
 import json
 import os
-import pickle
 import random
 import subprocess
 import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+import gem_core as gem
 from gem_core import make
-from gem_core.errors import ArgumentError, MissingRequirementError
+from gem_core.errors import MissingRequirementError
+from gem_core.testing import check_env
 from gem_games.textarena.env import TextArenaEnv
 from gem_games.textarena.games import GAMES
-from gem_games.textarena.listing import EXTRA, textarena_specs
+from gem_games.textarena.listing import CLOSED, EXTRA, textarena_specs
+from gem_games.textarena.moves import NO_MOVE, SAMPLERS, random_move
+from gem_games.textarena.table import TALK
 
+EVERY = bool(os.environ.get("GEM_EVERY_TEXTARENA_GAME"))
+"""Whether to try all ids with all promises, which takes some minutes."""
 RUNNABLE = [spec for spec in textarena_specs() if spec.requires == (EXTRA,) and not spec.seats]
+FIRST = list({spec.id.partition("-")[0]: spec for spec in reversed(RUNNABLE)}.values())[::-1]
+"""One game of each family."""
+OPEN = {spec.id.partition("-")[0]: spec.id for spec in textarena_specs() if spec.requires == (EXTRA,) and spec.seats}
+OWN = "<think>Hidden thoughts.</think>I reason SELFISHLY for long here."
+OTHER = "<think>Hidden thoughts.</think>I reason OTHERWISE for long here."
+HEARD = {*TALK, "SettlersOfCatan", "TwoDollar"}
+"""Families in which what is said is part of the game."""
+NOT_KNOWN = {"Crosswords", "Minesweeper", "Sudoku"}
+"""Games that take what is wrong for invalid, which a player cannot know."""
+COMES_TO_NOTHING = {"IndianPoker", "SpellingBee", "WordChains"}
+"""Games that can come to where nothing is valid within twenty turns."""
+TRIED_ELSEWHERE = {
+    "process-determinism": "tried for all games in one other process",
+    "hostile-actions": "test_hostile_actions_are_answered tries some",
+}
+HOSTILE = [
+    "",
+    "[" * 1_000_000,
+    "[1 " * 300_000,
+    "9" * 1_000_000,
+    "[" + "9" * 3_000 + "]",
+    "\ud800[\udfff]",
+    "\x00[\x00]",
+    "[\u0661]",
+    "[9**9**9**9]",
+    "[-1 -1]",
+    "[1 1 99999999999999]",
+    "[Offer: 99999999999999 Wood -> 1 Wheat]",
+]
 _EPISODES = """
 import json, sys
 from gem_games.textarena.env import TextArenaEnv
@@ -30,6 +66,10 @@ for kwargs, actions in json.load(sys.stdin):
     logs[kwargs["game"]] = [env.reset(seed=7)[0], *(list(env.step(action)[:4]) for action in actions)]
 print(json.dumps(logs))
 """
+
+
+def family(spec: Any) -> str:
+    return str(spec.kwargs["game"]).partition("-")[0]
 
 
 def test_the_table_matches_the_installed_library():
@@ -81,46 +121,12 @@ def test_global_random_state_is_neither_used_nor_changed(game):
     assert env.step(move) == result
 
 
-def test_a_state_goes_on_in_another_instance():
-    one = TextArenaEnv("ConnectFour-v0", players=2)
-    one.reset(seed=3)
-    one.step(one.sample_random_action())
-    other = one.fork()
-    move = one.sample_random_action()
-    assert other.step(move)[:4] == one.step(move)[:4]
-
-
-def test_a_callable_plays_the_other_seat():
-    """The opponent is asked with what its own seat sees."""
-    asked = []
-
-    def opponent(observation):
-        asked.append(observation)
-        return "[4]"
-
-    env = TextArenaEnv("TicTacToe-v0", players=2, seat=1, opponents=opponent)
-    env.reset(seed=1)
-    assert len(asked) == 1
-    assert asked[0]
-
-
-@pytest.mark.parametrize("action", ["", "[", "]" * 100_000, "\ud800", "\x00", "[" * 50_000, "[999999999999 -1]"])
-@pytest.mark.parametrize("game", ["TicTacToe-v0", "Wordle-v0", "Chess-v0"])
-def test_any_text_is_answered(game, action):
-    env = TextArenaEnv(game, players=GAMES[game])
-    env.reset(seed=1)
-    observation, reward, _, _, info = env.step(action)
-    assert isinstance(observation, str)
-    assert isinstance(reward, float)
-    assert "error" not in info
-
-
-def test_a_closed_game_says_why():
-    with pytest.raises(MissingRequirementError) as caught:
-        make("ta:UsedCar-v0-balanced")
-    assert str(caught.value) == (
-        "ta:UsedCar-v0-balanced cannot run here: textarena 0.7.4 registers it without its module"
-    )
+@pytest.mark.parametrize(
+    ("env_id", "family"), [("ta:UsedCar-v0-balanced", "UsedCar"), ("ta:Sokoban-v0", "Sokoban"), ("ta:Tak-v0", "Tak")]
+)
+def test_a_closed_game_says_why(env_id: str, family: str) -> None:
+    with pytest.raises(MissingRequirementError, match=CLOSED[family]):
+        make(env_id)
 
 
 def test_without_the_extra_make_says_what_to_install(monkeypatch):
@@ -133,11 +139,8 @@ def test_without_the_extra_make_says_what_to_install(monkeypatch):
         return version(name)
 
     monkeypatch.setattr(importlib.metadata, "version", without_textarena)
-    with pytest.raises(MissingRequirementError) as caught:
+    with pytest.raises(MissingRequirementError, match=r"gem-games\[textarena\]"):
         make("ta:TicTacToe-v0")
-    assert str(caught.value) == (
-        "ta:TicTacToe-v0 cannot run here: it needs an extra of gem-games: 'pip install \"gem-games[textarena]\"'"
-    )
 
 
 def test_our_own_games_need_nothing_of_the_extra():
@@ -157,22 +160,268 @@ assert gem.list_envs("ta:*")
     assert done.stderr == ""
 
 
-def test_a_seat_that_is_not_there_is_refused():
-    with pytest.raises(ArgumentError) as caught:
-        TextArenaEnv("TicTacToe-v0", players=2, seat=2)
-    assert str(caught.value) == "seat must be a whole number from 0 to 1, not 2"
+@pytest.mark.thorough
+@pytest.mark.parametrize("spec", RUNNABLE if EVERY else FIRST, ids=lambda spec: spec.id)
+def test_the_contract_is_kept(spec: Any) -> None:
+    skip = {"valid-sample": "what is wrong is invalid"} if family(spec) in NOT_KNOWN else {}
+    if EVERY:
+        check_env(spec.id, skip=skip)
+    else:
+        check_env(spec.id, episodes=1, max_turns=3, skip={**TRIED_ELSEWHERE, **skip})
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
-@pytest.mark.parametrize(
-    ("env_id", "kwargs"), [("ta:TicTacToe-v0", {}), ("ta:TwentyQuestions-v0", {"judge": "random"})]
-)
-def test_a_copy_plays_a_game_of_its_own(env_id, kwargs, copied):
-    """It goes on as the original would have, and leaves that as it is."""
-    env = make(env_id, **kwargs)
+@pytest.mark.thorough
+@pytest.mark.parametrize("env_id", OPEN.values())
+def test_the_contract_is_kept_with_all_seats_open(env_id: str) -> None:
+    check_env(env_id, episodes=1, max_turns=3, skip={"process-determinism": TRIED_ELSEWHERE["process-determinism"]})
+
+
+@pytest.mark.parametrize("spec", RUNNABLE if EVERY else FIRST[::15], ids=lambda spec: spec.id)
+def test_hostile_actions_are_answered(spec: Any) -> None:
+    """Megabytes, broken Unicode and numbers beyond all bounds give a reward and an observation, and no error."""
+    env = TextArenaEnv(**spec.kwargs)
+    for action in HOSTILE:
+        env.reset(seed=1)
+        observation, reward, _, truncated, info = env.step(action)
+        assert isinstance(observation, str)
+        assert len(observation) < 50_000
+        assert isinstance(reward, float)
+        assert "error" not in info
+        assert not truncated
+
+
+def played(env: TextArenaEnv, seed: int, actions: list[str]) -> Any:
+    """Begin an episode, and give a result for each action; a generator, so that others can play in between."""
+    yield env.reset(seed=seed)[0]
+    for action in actions:
+        result = env.step(action)[:4]
+        yield result
+        if result[2] or result[3]:
+            return
+
+
+@pytest.mark.thorough
+def test_games_do_not_disturb_each_other() -> None:
+    """Two of each family are played turn about with all others, and with code that draws from the global generators."""
+    alone, asked = {}, {}
+    for spec in FIRST:
+        for seed in (3, 4):
+            env = TextArenaEnv(**spec.kwargs)
+            log: list[Any] = [env.reset(seed=seed)[0]]
+            actions: list[str] = []
+            while len(actions) < 2 and not (len(log) > 1 and (log[-1][2] or log[-1][3])):
+                actions.append(env.sample_random_action())
+                log.append(env.step(actions[-1])[:4])
+            alone[spec.id, seed], asked[spec.id, seed] = log, actions
+    together: dict[Any, list[Any]] = {key: [] for key in asked}
+    games = {
+        key: played(TextArenaEnv(**gem.spec(key[0]).kwargs), key[1], actions)
+        for key, actions in sorted(asked.items(), reverse=True)
+    }
+    expected, expected_numpy = random.Random(5), np.random.RandomState(5)
+    ours, ours_numpy = random.getstate(), np.random.get_state()
+    random.setstate(expected.getstate())
+    np.random.set_state(expected_numpy.get_state())
+    try:
+        while games:
+            for key in list(games):
+                try:
+                    together[key].append(next(games[key]))
+                except StopIteration:
+                    del games[key]
+                assert random.random() == expected.random()
+                assert np.random.random() == expected_numpy.random()
+    finally:
+        random.setstate(ours)
+        np.random.set_state(ours_numpy)
+    assert together == alone
+
+
+def test_the_guide_names_the_closed_games() -> None:
+    """And says how many run."""
+    guide = (Path(__file__).parents[3] / "docs" / "textarena.md").read_text(encoding="utf-8")
+    table = guide.partition("These games stay closed")[2].partition("## ")[0]
+    closed = {family(spec) for spec in textarena_specs() if spec.requires != (EXTRA,)}
+    assert set(CLOSED) <= closed
+    named = {name.strip() for row in table.splitlines()[4:] for name in row.split("|")[1:2] for name in name.split(",")}
+    assert named == closed
+    assert f"{len(RUNNABLE)} of the {len(GAMES)} run offline" in guide
+
+
+@pytest.fixture
+def refused(monkeypatch):
+    """Collect what TextArena takes for an invalid move."""
+    import textarena.state
+
+    TextArenaEnv("TicTacToe-v0", players=2)  # mends these classes, if nothing has before
+    reasons = []
+    for state in vars(textarena.state).values():
+        if isinstance(state, type) and "set_invalid_move" in vars(state):
+
+            def note(self, *args, original=state.set_invalid_move, **kwargs):
+                reasons.append(kwargs.get("reason") or args)
+                return original(self, *args, **kwargs)
+
+            monkeypatch.setattr(state, "set_invalid_move", note)
+    return reasons
+
+
+def _play(env, seed, turns=20):
+    """Play a game of random moves; return the last info."""
+    env.reset(seed=seed)
+    for _ in range(turns):
+        *_, terminated, truncated, info = env.step(env.sample_random_action())
+        if terminated or truncated:
+            break
+    return info
+
+
+@pytest.mark.parametrize("spec", RUNNABLE, ids=lambda spec: spec.id)
+@pytest.mark.few(30)
+def test_random_players_make_no_invalid_moves(spec, refused):
+    """All seats play random moves, which TextArena takes; it is invalid only to play where nothing is valid."""
+    env = TextArenaEnv(**spec.kwargs)
+    assert "error" not in _play(env, seed=11)
+    if family(spec) in NOT_KNOWN:
+        return
+    if family(spec) in COMES_TO_NOTHING:
+        assert len(refused) == env.table.actions.count(NO_MOVE)
+    else:
+        assert refused == []
+
+
+def test_every_game_that_can_be_made_has_a_sampler():
+    made = {spec.kwargs["game"].partition("-")[0] for spec in RUNNABLE}
+    assert made - set(SAMPLERS) == set()
+
+
+@pytest.mark.parametrize("game", ["Chess-v0", "Wordle-v0", "LiarsDice-v0", "TwoDollar-v0", "Mastermind-v0"])
+def test_a_move_depends_on_the_generator_alone(game):
+    env = TextArenaEnv(**next(dict(spec.kwargs) for spec in RUNNABLE if spec.kwargs["game"] == game))
     env.reset(seed=3)
-    env.step(env.sample_random_action())
-    other = copied(env)
-    refused = other.step("neither a move nor a question" if kwargs else "[9 9]")
-    assert env.unwrapped.table.refused == env.unwrapped.table.invalid == 0
-    assert env.step("neither a move nor a question" if kwargs else "[9 9]")[:4] == refused[:4]
+    before = random.getstate()
+    drawn = [random_move(env.table, random.Random(seed)) for seed in range(20)]
+    assert drawn == [random_move(env.table, random.Random(seed)) for seed in range(20)]
+    assert random.getstate() == before
+    assert len(set(drawn)) > 1
+
+
+@pytest.mark.parametrize("game", ["Sudoku-v0-easy", "Crosswords-v0", "Minesweeper-v0"])
+def test_the_random_player_does_not_know_the_solution(game, refused):
+    assert not any(_play(TextArenaEnv(game), seed=seed, turns=100)["correct"] for seed in range(5))
+    assert refused or game == "Minesweeper-v0"
+
+
+def test_random_snakes_keep_off_walls_and_bodies_while_they_can():
+    env = TextArenaEnv("Snake-v0", players=2)
+    env.reset(seed=1)
+    game = env.table.game
+    own, other = game.state.game_state["snakes"].values()
+    own.positions, other.positions = type(own.positions)([(0, 0)]), type(own.positions)([(5, 5)])
+    assert SAMPLERS["Snake"](game, random.Random(1)) == ["[up]", "[right]"]
+    other.positions = type(own.positions)([(1, 0), (1, 1)])
+    assert SAMPLERS["Snake"](game, random.Random(1)) == ["[up]"]
+    own.positions = type(own.positions)([(0, 0), (0, 1)])
+    assert len(SAMPLERS["Snake"](game, random.Random(1))) == 4
+
+
+def test_where_nothing_is_valid_the_game_ends(refused):
+    """The words of WordChains grow by a letter each, until there is none; whose turn it is then has lost."""
+    env = TextArenaEnv("WordChains-v0", players=2)
+    info = _play(env, seed=4, turns=40)
+    assert env.table.done
+    assert env.table.actions[-1] == NO_MOVE
+    assert info["textarena"]["turn_count"] > 3
+
+
+def test_a_game_that_is_over_has_no_moves():
+    env = TextArenaEnv("MemoryGame-v0", players=2)
+    _play(env, seed=1, turns=200)
+    assert env.table.done
+    assert env.sample_random_action() == NO_MOVE
+
+
+def _state(**game_state):
+    return SimpleNamespace(state=SimpleNamespace(game_state=game_state, current_player_id=0))
+
+
+@pytest.mark.parametrize(
+    ("game", "state", "moves"),
+    [
+        ("2048", {"board": [[2, 0], [4, 0]]}, ["[Right]"]),
+        ("Chopsticks", {"hands": {0: [0, 2], 1: [1, 0]}}, ["[attack 1 0]", "[split 1 1]", "[split 2 0]"]),
+        ("TowerOfHanoi", {"towers": {"A": [3, 2], "B": [1], "C": []}}, ["[A C]", "[B A]", "[B C]"]),
+    ],
+)
+def test_samplers_list_all_that_is_valid(game: str, state: dict[str, Any], moves: list[str]) -> None:
+    assert SAMPLERS[game](_state(**state), random.Random(1)) == moves
+
+
+def seen(env_id: str, players: int, turns: int) -> tuple[list[str], list[str]]:
+    """Return what the agent and the other seats see in a game in which all give reasons for random moves."""
+    asked: list[str] = []
+
+    def other(observation: str, context: Any) -> str:
+        asked.append(observation)
+        return f"{OTHER} {context.sample_random_action()}"
+
+    env = gem.make(env_id, opponents=other if players > 1 else "random")
+    observations = [env.reset(seed=3)[0]]
+    for _ in range(turns):
+        observation, _, terminated, truncated, info = env.step(f"{OWN} {env.sample_random_action()}")
+        assert "error" not in info
+        observations.append(observation)
+        if terminated or truncated:
+            break
+    return observations, asked
+
+
+@pytest.mark.parametrize("spec", FIRST, ids=lambda spec: spec.id)
+@pytest.mark.few(30)
+def test_no_seat_sees_its_own_response_or_the_reasons_of_another(spec: Any) -> None:
+    observations, asked = seen(spec.id, spec.kwargs["players"], turns=12)
+    everything = "\n".join([*observations, *asked])
+    assert "Hidden thoughts" not in everything
+    assert not any("SELFISHLY" in observation for observation in observations)
+    assert not any("OTHERWISE" in observation for observation in asked if spec.kwargs["players"] == 2)
+    if family(spec) not in HEARD:
+        assert "SELFISHLY" not in everything
+        assert "OTHERWISE" not in everything
+
+
+def test_the_move_of_another_seat_is_seen_by_its_brackets_or_the_games_description() -> None:
+    env = TextArenaEnv("Alquerque-v0", players=2, opponents=lambda _: "I should move [e4 e3] now.")
+    env.reset(seed=1)
+    observation, *_ = env.step("I like this one: [b2 b3]")
+    assert observation.startswith("[Player 1] [e4 e3]\nMove #2\n")
+    env = TextArenaEnv("ConnectFour-v0", players=2, opponents=lambda _: "Not [col 1], but [col 2].")
+    env.reset(seed=1)
+    observation, *_ = env.step("[col 4]")
+    assert "but" not in observation
+    assert "[Player 1]" not in observation
+    assert "[GAME] Player 1 dropped their disk (O) into column" in observation
+
+
+def test_a_thought_is_no_move() -> None:
+    env = TextArenaEnv("TicTacToe-v0", players=2, opponents=lambda _: "[8]")
+    env.reset(seed=1)
+    *_, info = env.step("<think>Not [0].</think>[4]")
+    assert env.table.actions[0] == info["parsed_action"] == "[4]"
+
+
+def test_announcements_are_no_board() -> None:
+    """A call for decisions is not shown again in the round of talks that follows."""
+    env = TextArenaEnv("IteratedPrisonersDilemma-v0", players=2, opponents=lambda _: "[defect]")
+    env.reset(seed=1)
+    shown = []
+    while "Starting Round 2" not in (observation := env.step("[cooperate]")[0]):
+        shown.append(observation)
+    assert "Please reply with" in shown[-1]
+    assert "Please reply with" not in observation
+
+
+@pytest.mark.parametrize("game", ["LetterAuction-v0", "SpiteAndMalice-v0"])
+def test_what_another_seat_is_asked_is_not_passed_on(game: str) -> None:
+    observations, asked = seen(f"ta:{game}", 2, turns=12)
+    assert not any("Player 1, do you" in text or "Player 1, you" in text for text in observations)
+    assert not any("Player 0, do you" in text or "Player 0, you" in text for text in asked)

@@ -24,8 +24,8 @@ class TextArenaEnv(SingleAgentEnv):
             seat of these. Seats that a mapping leaves out play at random. An agent that reads messages is sent the
             conversation of its seat.
         max_turns: As for ``TextArenaMultiAgentEnv``.
-        judge: An agent, or the name of one, that answers as the game master and the jury of GuessWho, TwentyQuestions,
-            Debate and ScenarioPlanning.
+        judge: An agent, or the name of one, that answers as the game master and the jury of GuessWho, TwentyQuestions
+            and Debate.
     """
 
     def __init__(

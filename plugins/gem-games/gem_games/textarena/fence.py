@@ -46,12 +46,6 @@ class Fence:
 _current: Fence | None = None
 
 
-def drawn() -> Any:
-    """Return the state of what the library draws from now, to see whether something drew."""
-    python, numpy = (random, np.random) if _current is None else (_current.python, _current.numpy)
-    return python.getstate(), repr(numpy.get_state())
-
-
 class _Random:
     """Stands for the module ``random`` in modules of the library."""
 

@@ -7,19 +7,12 @@ What is mended was seen in textarena 0.7.4:
 - some games go through a ``set`` of words: theirs has an order;
 - the library draws from global generators: what its modules call ``random`` and ``np`` is of ``fence.py``;
 - some games print what they deal: ``print`` is silent inside the library;
-- Sokoban searches for a room without a limit of time: ``rooms.py`` makes one in milliseconds;
-- Sudoku, RushHour and WordLadder search for a second and more: ``searches.py`` finds the same in milliseconds;
-- five games mix up the arguments of their state: ``argument_order.py`` puts them right;
-- some constructors go through all words: a game is copied from the first one, unless its constructor draws;
-- six games raise when someone has won, and three do not see an end: ``endings.py`` puts them right;
 - seven modules have nested quotes in f-strings, which Python 3.11 cannot read: such lines are written in another way;
-- Klondike's module has an ``elif`` behind an ``else``: it is moved in, below the ``if`` that it belongs to;
-- four games ask a language model through a service: ``Judge`` takes its place.
+- three games ask a language model through a service: ``Judge`` takes its place.
 """
 
 from __future__ import annotations
 
-import copy
 import importlib
 import importlib.util
 import inspect
@@ -31,15 +24,12 @@ from types import ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
 from gem_games import words as our_words
-from gem_games.textarena import argument_order, endings, searches
-from gem_games.textarena.fence import LOCK, STAND_INS, drawn
+from gem_games.textarena.fence import LOCK, STAND_INS
 from gem_games.textarena.judging import Judge
-from gem_games.textarena.rooms import generate_room
 
 _INNER_QUOTES = re.compile(r'\["(\w+)"\]')
 _INNER_STRING = re.compile(r'f"\{([^{}"]+)\}\{([^{}"]+)\}"')
 _MOST_LINES = 100
-_LONG = 1_000
 
 
 class _Words:
@@ -59,9 +49,6 @@ class _Ordered(set[Any]):
 
     def __iter__(self) -> Iterator[Any]:
         return iter(sorted(super().__iter__(), key=repr))
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> _Ordered:
-        return self if len(self) > _LONG else _Ordered(self)
 
 
 class _Dictionary:
@@ -114,10 +101,6 @@ class _Recipe(NamedTuple):
     clip: int | None
 
 
-_MADE: dict[str, Any] = {}
-"""For each game that was made, the first one, before its reset; None where the constructor draws."""
-
-
 def load(name: str, max_turns: int | None = None) -> tuple[Any, bool, int | None]:
     """Make a game of TextArena, without its wrappers.
 
@@ -130,15 +113,7 @@ def load(name: str, max_turns: int | None = None) -> tuple[Any, bool, int | None
     """
     with LOCK:
         recipe = _recipe(name)
-        first = _MADE.get(name) if max_turns is None else None
-        if first is not None:
-            game = copied(first)
-        else:
-            before = None if name in _MADE or max_turns is not None else drawn()
-            game = _built(recipe, max_turns)
-            if before is not None:
-                _MADE[name] = copied(game) if drawn() == before else None
-    return game, recipe.brackets, recipe.clip
+        return _built(recipe, max_turns), recipe.brackets, recipe.clip
 
 
 def _built(recipe: _Recipe, max_turns: int | None) -> Any:
@@ -156,20 +131,6 @@ def _built(recipe: _Recipe, max_turns: int | None) -> Any:
         agents.OpenRouterAgent = kept
 
 
-def copied(game: Any) -> Any:
-    """Return a copy of a game; it shares long word lists, which games never change, and the messages in its lists."""
-    shared: dict[int, Any] = {
-        id(part): part for part in vars(game).values() if isinstance(part, _LISTS) and len(part) > _LONG
-    }
-    if hasattr(game, "state"):
-        for messages in (game.state.logs, *game.state.observations.values()):
-            shared[id(messages)] = list(messages)
-    return copy.deepcopy(game, shared)
-
-
-_LISTS = list, set, frozenset
-
-
 @cache
 def _recipe(name: str) -> _Recipe:
     nltk: Any = importlib.import_module("nltk")
@@ -182,7 +143,6 @@ def _recipe(name: str) -> _Recipe:
         module_name, _, class_name = record.entry_point.partition(":")
         module = _module(module_name)
         _mend()
-        argument_order.put_right(importlib.import_module("textarena.state"))
     finally:
         nltk.download, corpus.words = kept
     wrappers = {wrapper.__name__ for wrapper in record.default_wrappers or ()}
@@ -210,9 +170,6 @@ def _read_mended(name: str, path: str) -> None:
             break
         except SyntaxError as error:
             number = (error.lineno or 1) - 1
-            if lines[number].lstrip().startswith("elif "):
-                _move_in(lines, number)
-                continue
             mended = _INNER_STRING.sub(r"str(\1) + str(\2)", _INNER_QUOTES.sub(r"['\1']", lines[number]))
             if mended == lines[number]:
                 raise
@@ -235,20 +192,9 @@ def _read_mended(name: str, path: str) -> None:
         raise
 
 
-def _move_in(lines: list[str], number: int) -> None:
-    """Indent a line, and those that are below it in the same block, by one step more."""
-    indent = len(lines[number]) - len(lines[number].lstrip())
-    for place in range(number, len(lines)):
-        own = len(lines[place]) - len(lines[place].lstrip())
-        if place > number and lines[place].strip() and own <= indent:
-            return
-        lines[place] = f"    {lines[place]}"
-
-
 def _mend() -> None:
     """Replace what the loaded modules of the library would download, print to, or draw from."""
     spaces = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("textarena.envs.")]
-    endings.put_right(importlib.import_module("textarena.state"), spaces)
     vars(importlib.import_module("textarena.core")).update(STAND_INS)  # whose reset seeds
     for space in spaces:
         space["print"] = _nothing
@@ -264,17 +210,3 @@ def _mend() -> None:
             space["EnglishDictionary"] = _Dictionary
         if "en_uk_dict" in space:
             space["en_uk_dict"] = _everything()
-        _hasten(space)
-
-
-def _hasten(space: dict[str, Any]) -> None:
-    """Replace what a module searches for a second and more."""
-    if "generate_room" in space:
-        space["generate_room"] = generate_room
-    if "SudokuEnv" in space:
-        space["SudokuEnv"]._count_solutions = searches.count_solutions
-    if "RushHourEnv" in space:
-        space["RushHourEnv"]._is_solvable = searches.is_solvable
-    if "WordLadderEnv" in space:
-        space["WordLadderEnv"]._build_neighbor_map = staticmethod(searches.neighbour_map)
-        space["WordLadderEnv"]._find_valid_pairs = searches.word_pairs

@@ -8,13 +8,33 @@ from typing import Any
 from gem_core.registry import EnvSpec
 from gem_games.textarena.games import GAMES
 
-_JUDGED = ("GuessWho", "TwentyQuestions", "Debate", "ScenarioPlanning")
-_FILES = ("UsedCarNegotiation", "ScorableGames")
-_CLOSED = {
-    "UsedCar": "textarena 0.7.4 registers it without its module",
+_JUDGED = ("GuessWho", "TwentyQuestions", "Debate")
+_NO_FILES = "textarena 0.7.4 does not ship the text files of this game"
+_NO_REWARD = "textarena 0.7.4 mixes up reward and reason of an invalid move"
+_NO_END = "textarena 0.7.4 raises when this game is over"
+_FOR_EVER = "textarena 0.7.4 asks a seat that is eliminated again and again"
+CLOSED = {
     "BabyAiText": "it needs the package gym and the game files of BabyAI-Text, which textarena 0.7.4 does not bring",
+    "Bandit": "textarena 0.7.4 takes no button for the best one",
+    "CharacterConclave": "textarena 0.7.4 raises when a player speaks",
+    "Checkers": _NO_END,
+    "Countdown": _NO_REWARD,
+    "Cryptarithm": _NO_REWARD,
+    "FifteenPuzzle": f"{_NO_END}; play game:FifteenPuzzle-v0-hard",
+    "Klondike": "Python cannot read its module in textarena 0.7.4",
+    "MarketEntryGame": _FOR_EVER,
+    "PublicGoodsGame": _FOR_EVER,
+    "ScenarioPlanning": _NO_END,
+    "ScorableGames": _NO_FILES,
+    "Slitherlink": _NO_REWARD,
+    "Sokoban": "textarena 0.7.4 searches minutes for some of its rooms; play game:Sokoban-v0-hard",
+    "Stratego": "textarena 0.7.4 raises after a bomb is defused",
+    "Tak": _NO_END,
+    "ThreeCardMonte": _NO_REWARD,
+    "UsedCar": "textarena 0.7.4 registers it without its module",
+    "UsedCarNegotiation": _NO_FILES,
 }
-
+"""Families that cannot be played, and why."""
 
 EXTRA = "package:gem-games[textarena]"
 """What every game requires that can run at all."""
@@ -55,8 +75,6 @@ def textarena_specs() -> Iterator[EnvSpec]:
 def _needs(family: str) -> tuple[str, ...]:
     if family in _JUDGED:
         return (EXTRA, "argument:judge")
-    if family in _FILES:
-        return ("never:textarena 0.7.4 does not ship the text files of this game",)
-    if family in _CLOSED:
-        return (f"never:{_CLOSED[family]}",)
+    if family in CLOSED:
+        return (f"never:{CLOSED[family]}",)
     return (EXTRA,)

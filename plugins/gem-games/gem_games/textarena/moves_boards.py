@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 _AROUND = [step for step in product((-1, 0, 1), repeat=2) if any(step)]
 _WAYS = {"up": (0, 1), "down": (0, -1), "left": (-1, 0), "right": (1, 0)}
-_BESIDE = [(-1, 0), (1, 0), (0, -1), (0, 1)]
 
 
 def _square(row: int, column: int, size: int) -> str:
@@ -115,17 +114,6 @@ def _breakthrough(game: Any, rng: random.Random) -> Sequence[str]:
     ]
 
 
-def _checkers(game: Any, rng: random.Random) -> Sequence[str]:
-    seat = game.state.current_player_id
-    return [
-        f"[{row} {column} {row + down} {column + right}]"
-        for row, column, piece in cells(game.state.game_state["board"])
-        if piece.lower() == "rb"[seat]
-        for down, right in product((-2, -1, 1, 2), repeat=2)
-        if game._is_valid_move(seat, row, column, row + down, column + right)
-    ]
-
-
 def _crusade(game: Any, rng: random.Random) -> Sequence[str]:
     moves: Sequence[str] = game._legal_moves_for_player(game.state.current_player_id)
     return moves
@@ -150,49 +138,6 @@ def _lines_of_action(game: Any, rng: random.Random) -> Sequence[str]:
         for way in _AROUND
         if (end := reached(row, column, *way))
     ]
-
-
-def _stratego(game: Any, rng: random.Random) -> Sequence[str]:
-    board, seat = game.board, game.state.current_player_id
-
-    def ends(row: int, column: int, far: int) -> Iterator[tuple[int, int]]:
-        for down, right in _BESIDE:
-            for step in range(1, far + 1):
-                end = row + step * down, column + step * right
-                if not _inside(*end, len(board)):
-                    break
-                there = board[end[0]][end[1]]
-                if there is None or (isinstance(there, dict) and there["player"] != seat):
-                    yield end
-                if there is not None:
-                    break
-
-    return [
-        f"[{chr(ord('A') + row)}{column} {chr(ord('A') + end[0])}{end[1]}]"
-        for row, column, piece in cells(board)
-        if isinstance(piece, dict) and piece["player"] == seat and piece["rank"] not in ("Bomb", "Flag")
-        for end in ends(row, column, len(board) if piece["rank"] == "Scout" else 1)
-    ]
-
-
-def _tak(game: Any, rng: random.Random) -> Sequence[str]:
-    """Return placements, and moves of the topmost piece of a stack by one square."""
-    seat, board = game.state.current_player_id, game.board
-    left = game.players[seat]
-    kinds = "FW" * bool(left["stones"]) + "C" * bool(left["capstones"])
-    moves = []
-    for row, column, stack in cells(board):
-        if not stack:
-            moves += [f"[place () {{({row},{column}): [{kind}{seat}]}}]" for kind in kinds]
-        elif stack[-1][-1] == str(seat):
-            walls = "C" if stack[-1][0] == "C" else "WC"
-            moves += [
-                f"[move ({row},{column}) {{({row + down},{column + right}): [{stack[-1]}]}}]"
-                for down, right in _BESIDE
-                if _inside(row + down, column + right, game.board_size)
-                and not (board[row + down][column + right] and board[row + down][column + right][-1][0] in walls)
-            ]
-    return moves
 
 
 def _surviving(game: Any, head: tuple[int, int], taken: Container[tuple[int, int]]) -> Sequence[str]:
@@ -224,7 +169,6 @@ SAMPLERS: dict[str, Sampler] = {
     "Alquerque": _alquerque,
     "Battleship": _battleship,
     "Breakthrough": _breakthrough,
-    "Checkers": _checkers,
     "Chess": _chess,
     "ConnectFour": _connect_four,
     "Crusade": _crusade,
@@ -236,9 +180,7 @@ SAMPLERS: dict[str, Sampler] = {
     "SantoriniBaseFixed": _santorini,
     "SimpleTak": _free_cells,
     "Snake": _snake,
-    "Stratego": _stratego,
     "Surround": _surround,
-    "Tak": _tak,
     "ThreePlayerTicTacToe": _free_cells,
     "TicTacToe": _free_cells,
     "UltimateTicTacToe": _ultimate,

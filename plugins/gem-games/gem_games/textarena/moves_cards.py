@@ -37,29 +37,6 @@ def _blotto(game: Any, rng: random.Random) -> Sequence[str]:
     return [f"[{' '.join(f'{field}{count}' for field, count in zip(game.field_names, units, strict=True))}]"]
 
 
-def _klondike(game: Any, rng: random.Random) -> Sequence[str]:
-    table = game.klondike
-    tableau = list(enumerate(table.tableau, 1))
-    tops = [("W", table.waste[-1][0])] if table.waste else []
-    tops += [(f"T{place}", pile[-1][0]) for place, pile in tableau if pile]
-    moves = [
-        f"[move {source} F{to}]" for source, card in tops for to in range(1, 5)
-        if table.can_move_to_foundation_pile(card, to - 1)
-    ]  # fmt: skip
-    runs = [(source, card, 1) for source, card in tops[:1] if source == "W"]
-    runs += [
-        (f"T{place}", card, len(pile) - start)
-        for place, pile in tableau
-        for start, (card, face_up) in enumerate(pile)
-        if face_up
-    ]
-    moves += [
-        f"[move {source} T{to} {count}]" for source, card, count in runs for to, pile in tableau
-        if source != f"T{to}" and table.can_place_on_tableau(pile[-1][0] if pile else None, card)
-    ]  # fmt: skip
-    return [*moves, "[draw]"]
-
-
 def _golf(game: Any, rng: random.Random) -> Sequence[str]:
     state = game.state.game_state
     if state["turn_phase"] == "draw":
@@ -141,7 +118,6 @@ SAMPLERS: dict[str, Sampler] = {
     "Golf": _golf,
     "HighSociety": _high_society,
     "IndianPoker": _indian_poker,
-    "Klondike": _klondike,
     "KuhnPoker": _kuhn_poker,
     "LiarsDice": _liars_dice,
     "Nim": _nim,

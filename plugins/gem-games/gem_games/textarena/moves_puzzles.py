@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     import random
 
 _TRIES = 50
-_MOST_COUNTDOWN = 1_000_000
 
 
 def cells(board: Sequence[Sequence[Any]]) -> Iterator[tuple[int, int, Any]]:
@@ -25,38 +24,9 @@ def cells(board: Sequence[Sequence[Any]]) -> Iterator[tuple[int, int, Any]]:
     return ((r, c, content) for r, row in enumerate(board) for c, content in enumerate(row))
 
 
-def _bandit(game: Any, rng: random.Random) -> Sequence[str]:
-    return [f"[{button}]" for button in game.buttons]
-
-
-def _countdown(game: Any, rng: random.Random) -> Sequence[str]:
-    def taken(a: int, b: int, sign: str) -> bool:
-        if sign == "/":
-            return b != 0 and a % b == 0
-        return abs(a * b if sign == "*" else a + b if sign == "+" else a - b) <= _MOST_COUNTDOWN
-
-    pairs = permutations(enumerate(game.numbers), 2)
-    return [f"[{i} {j} {sign}]" for (i, a), (j, b) in pairs for sign in "+-*/" if taken(a, b, sign)]
-
-
 def _crosswords(game: Any, rng: random.Random) -> Sequence[str]:
     empty = ((r, c) for r, c, content in cells(game.state.game_state["board"]) if content == "_")
     return [f"[{r} {c} {letter}]" for r, c in empty for letter in ascii_uppercase]
-
-
-def _cryptarithm(game: Any, rng: random.Random) -> Sequence[str]:
-    return [
-        f"[{letter} {digit}]"
-        for letter in sorted(game.letters)
-        for digit in range(letter in game.first_letters, 10)
-        if game.digit_used.get(digit, letter) == letter
-    ]
-
-
-def _fifteen(game: Any, rng: random.Random) -> Sequence[str]:
-    row, column = next((r, c) for r, c, tile in cells(game.board) if tile is None)
-    ways = {"up": row < 3, "down": row > 0, "left": column < 3, "right": column > 0}
-    return [f"[{way}]" for way, free in ways.items() if free]
 
 
 def _frozen_lake(game: Any, rng: random.Random) -> Sequence[str]:
@@ -138,22 +108,9 @@ def _set(game: Any, rng: random.Random) -> Sequence[str]:
     return [f"[{', '.join(map(str, rng.sample(range(1, len(game.state.game_state['board']) + 1), 3)))}]"]
 
 
-def _slitherlink(game: Any, rng: random.Random) -> Sequence[str]:
-    kind = rng.choice("hv")
-    return [f"[{kind} {rng.randrange(game.R + (kind == 'h'))} {rng.randrange(game.C + (kind == 'v'))}]"]
-
-
-def _sokoban(game: Any, rng: random.Random) -> Sequence[str]:
-    return [f"[{way}]" for way in game.action_space if not game._would_collide_with_wall(way)]
-
-
 def _sudoku(game: Any, rng: random.Random) -> Sequence[str]:
     board = game.state.game_state["board"]
     return [f"[{r + 1} {c + 1} {digit}]" for r, c, content in cells(board) if not content for digit in range(1, 10)]
-
-
-def _monte(game: Any, rng: random.Random) -> Sequence[str]:
-    return [f"[{cup}]" for cup in range(game.num_cups)]
 
 
 def _hanoi(game: Any, rng: random.Random) -> Sequence[str]:
@@ -167,11 +124,7 @@ def _hanoi(game: Any, rng: random.Random) -> Sequence[str]:
 
 SAMPLERS: dict[str, Sampler] = {
     "2048": _2048,
-    "Bandit": _bandit,
-    "Countdown": _countdown,
     "Crosswords": _crosswords,
-    "Cryptarithm": _cryptarithm,
-    "FifteenPuzzle": _fifteen,
     "FrozenLake": _frozen_lake,
     "GuessTheNumber": _guess_the_number,
     "LightsOut": _lights_out,
@@ -182,9 +135,6 @@ SAMPLERS: dict[str, Sampler] = {
     "RushHour": _rush_hour,
     "Secretary": always("[accept]", "[continue]"),
     "Set": _set,
-    "Slitherlink": _slitherlink,
-    "Sokoban": _sokoban,
     "Sudoku": _sudoku,
-    "ThreeCardMonte": _monte,
     "TowerOfHanoi": _hanoi,
 }

@@ -24,32 +24,9 @@ def remark(game: Any, rng: random.Random) -> Sequence[str]:
     return [rng.choice(_REMARKS).format(rng.choice(words.nouns(rng.randrange(4, 8))))]
 
 
-def _conclave(game: Any, rng: random.Random) -> Sequence[str]:
-    """A tenth of what may be said in all, or all that is left; in the end, a vote for another player."""
-    board, seat = game.state.game_state, game.state.current_player_id
-    if board["phase"] != "discussion":
-        return [f"[{other}]" for other in range(game.state.num_players) if other != seat]
-    length = max(1, min(board["budget_remaining"][seat], game.character_budget // 10))
-    text = ""
-    while len(text) < length:
-        text += f"{remark(game, rng)[0]} "
-    return [text[:length]]
-
-
 def _talk_then(decide: Sampler) -> Sampler:
     """Return a sampler for a game whose state tells that it is time to talk, or else to decide."""
     return lambda game, rng: (remark if game.state.game_state["phase"] == "conversation" else decide)(game, rng)
-
-
-def _public(decide: Sampler) -> Sampler:
-    """Return the same for a game in which only what stands in braces is heard."""
-
-    def sampler(game: Any, rng: random.Random) -> Sequence[str]:
-        if game.state.game_state["phase"] == "conversation":
-            return [f"{{{remark(game, rng)[0]}}}"]
-        return decide(game, rng)
-
-    return sampler
 
 
 def _up_to(most: Callable[[Any], int]) -> Sampler:
@@ -147,7 +124,6 @@ def _facts(game: Any, rng: random.Random) -> Sequence[str]:
 
 
 SAMPLERS: dict[str, Sampler] = {
-    "CharacterConclave": _conclave,
     "Debate": remark,
     "GuessWho": remark,
     "IteratedMatchingPennies": always("[heads]", "[tails]"),
@@ -156,10 +132,7 @@ SAMPLERS: dict[str, Sampler] = {
     "IteratedStagHunt": _talk_then(always("[Stag]", "[Hare]")),
     "IteratedTwoThirdsAverage": _up_to(lambda game: int(game.max_guess)),
     "IteratedUltimatumGame": _ultimatum,
-    "MarketEntryGame": _public(always("[E]", "[S]")),
     "NewRecruit": _recruit,
-    "PublicGoodsGame": _public(_up_to(lambda game: int(game.endowment))),
-    "ScenarioPlanning": remark,
     "SecretMafia": _mafia,
     "SettlersOfCatan": _settlers,
     "SimpleBlindAuction": _talk_then(_bids),

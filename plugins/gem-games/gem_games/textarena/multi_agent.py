@@ -17,8 +17,6 @@ _MOST_REFUSED = 20
 """Invalid moves in a row with which a seat among several loses."""
 _SCORES = "Blackjack", "Set"
 """Games of one player that pay a score, and have no aim that is reached or missed."""
-_FULL_REWARDS = {"Klondike": 52}
-"""What solving a game of one player pays, where that is not 1."""
 
 
 class TextArenaMultiAgentEnv(MultiAgentEnv):
@@ -29,9 +27,8 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
 
     The rewards are TextArena's own, at the end, and 0 before. An agent's info has ``textarena``, what TextArena says
     about the seat, and with its next observation ``invalid_move`` and ``parsed_action`` of its last response.
-    ``correct`` at the end says whether the seat won: alone, by the full reward of 1 (in Klondike of 52, the number of
-    cards); among others, by one above 0 that no other seat exceeds. Blackjack and Set, which only keep a score, have
-    none.
+    ``correct`` at the end says whether the seat won: alone, by the full reward of 1; among others, by one
+    above 0 that no other seat exceeds. Blackjack and Set, which only keep a score, have none.
 
     A seat sees nothing of its own responses, and of another seat's the move alone, as the game describes it or in its
     brackets. Where the game is to talk, all that is said is heard; thinking blocks never are.
@@ -46,8 +43,8 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
         max_turns: All are truncated when it is the turn of a seat that has had so many, with a reward of 0, or for one
             player with TextArena's for what is done. A game that takes a limit itself is made with this one; it counts
             the turns of all seats. None: 1,000, or the game's own limit if that is more.
-        judge: An agent, or the name of one, that answers as the game master and the jury of GuessWho, TwentyQuestions,
-            Debate and ScenarioPlanning.
+        judge: An agent, or the name of one, that answers as the game master and the jury of GuessWho, TwentyQuestions
+            and Debate.
 
     Source: the games and rewards of textarena 0.7.4, https://github.com/LeonGuertler/TextArena.
     """
@@ -105,7 +102,7 @@ class TextArenaMultiAgentEnv(MultiAgentEnv):
 
     def _has_won(self, reward: float, rewards: Mapping[str, float]) -> bool:
         if len(self.agents) == 1:
-            return reward >= _FULL_REWARDS.get(self._family, 1)
+            return reward >= 1
         return 0 < reward == max(rewards.values())
 
     def _next_turn(self) -> dict[str, Info]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import importlib
 import re
 import sys
@@ -15,7 +16,7 @@ from gem_core.suggestions import did_you_mean
 from gem_games.textarena.fence import Fence
 from gem_games.textarena.games import GAMES
 from gem_games.textarena.judging import JudgeError, judges_of
-from gem_games.textarena.library import copied, load
+from gem_games.textarena.library import load
 
 LONGEST_ACTION = 4_000
 """Characters; of a longer action the end is read, since some patterns of the library take quadratic time."""
@@ -23,7 +24,6 @@ _MOST_TURNS = 1_000
 """Of a seat, where neither the game nor the caller sets a higher limit."""
 
 TALK = {
-    "CharacterConclave",
     "Debate",
     "DontSayIt",
     "IteratedPrisonersDilemma",
@@ -37,8 +37,10 @@ TALK = {
     "TruthAndDeception",
 }
 """Families in which the other seats hear all that a seat says, at least in some phases."""
-_NO_BOARDS = {"IteratedPrisonersDilemma", "IteratedStagHunt", "PublicGoodsGame", "ThreePlayerIPD"}
+_NO_BOARDS = {"IteratedPrisonersDilemma", "IteratedStagHunt", "ThreePlayerIPD"}
 """Families that call a passing announcement a board."""
+_FOR_TWO = {"Briscola", "Golf"}
+"""Families whose end with more seats textarena 0.7.4 cannot tell."""
 _MOVE = re.compile(r"\[[^\[\]]*\]")
 _ASKED = re.compile(r"\s*Player (\d+), (?:do )?you\b.*", re.DOTALL)
 _UPDATED_BOARD = " Your updated board:\n"  # Battleship
@@ -258,7 +260,7 @@ class Table:
         fence = self._fence.copy()
         with fence:
             try:
-                game = copied(self._game)
+                game = copy.deepcopy(self._game)
                 for judge in judges_of(game):
                     judge.ask = lambda question: ""
                 game.state.set_invalid_move = note
@@ -297,6 +299,8 @@ def open_table(
         raise ArgumentError(f"players must be a whole number from 1 to 15, not {players!r}")
     if max_turns is not None and (type(max_turns) is not int or max_turns < 1):
         raise ArgumentError(f"max_turns must be a positive whole number, not {max_turns!r}")
+    if game.partition("-")[0] in _FOR_TWO and players > 2:
+        raise ArgumentError(f"{game} is for two players: with more, textarena 0.7.4 raises when it ends")
     try:
         table = Table(game, players, max_turns, judge)
     except AssertionError as error:
