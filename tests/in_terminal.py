@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import pty
 import select
@@ -9,7 +10,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-PROGRAM = "from toys import register_toys; register_toys(); from gem_core.cli import main; main()"
+from command_calls import PROGRAM
+
 DEADLINE_S = 60
 """Far more than is ever needed: what is waited for is text, not time."""
 
@@ -17,11 +19,11 @@ DEADLINE_S = 60
 class InTerminal:
     """The command in a terminal of its own."""
 
-    def __init__(self, arguments: list[str], cwd: Path, **env: str) -> None:
+    def __init__(self, arguments: list[str], cwd: Path, code: str = "", **env: str) -> None:
         self._leader, follower = pty.openpty()
         inherited = {name: value for name, value in os.environ.items() if name != "NO_COLOR"}
         self._process = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM, *arguments],
+            [sys.executable, "-c", f"{code}\n{PROGRAM}", *arguments],
             cwd=cwd,
             env={**inherited, "PYTHONPATH": str(Path(__file__).parent), "TERM": "xterm", **env},
             stdin=follower,
@@ -32,6 +34,7 @@ class InTerminal:
         )
         os.close(follower)
         self.output = ""
+        self._decoder = codecs.getincrementaldecoder("utf-8")()
         self._seen = 0
 
     def wait_for(self, text: str) -> None:
@@ -69,7 +72,7 @@ class InTerminal:
             chunk = os.read(self._leader, 65536)
         except OSError:  # how Linux reports that the other end is closed
             return False
-        self.output += chunk.decode().replace("\r\n", "\n")
+        self.output = (self.output + self._decoder.decode(chunk)).replace("\r\n", "\n")
         return bool(chunk)
 
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-import pty
 import re
-import select
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -18,11 +17,9 @@ from command_calls import subprocess_gem
 import gem_core as gem
 from gem_core.cli.layout import echo_line
 from gem_core.records.files import read_episodes
-from gem_core.registry.lookup import registry
 from gem_core.registry.specs import ToolSpec
 
 COUNTDOWN = "toy:Countdown-v0"
-COLOUR = re.compile(r"\x1b\[[\d;]*m")
 
 SLOW_AGENT = """
 import os, signal
@@ -43,37 +40,21 @@ def act(observation, context):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--vesion"], "gem: No such option '--vesion'. Did you mean '--version'? Run 'gem --help'\n"),
+        (["--vesion"], "'--vesion'. Did you mean '--version'? Run 'gem --help'\n"),
         (["run", COUNTDOWN, "--agent"], "Option '--agent' requires an argument. Run 'gem run --help'\n"),
         (["lst"], "no command 'lst'. Did you mean 'list'? There are: list, info, play, run, plugins"),
-        (["run", "--agnt", "x", COUNTDOWN], "No such option '--agnt'. Did you mean '--agent'?"),
         (["run", "toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
         (["run", "toy:nothing*"], "no environment matches 'toy:nothing*'"),
         (["run", "toy:Cuntdown*"], "no environment matches 'toy:Cuntdown*'. Did you mean 'toy:Countdown-v0'"),
-        (["run", COUNTDOWN, "--out", ""], "--out takes the name of a file, not ''"),
         (["run", COUNTDOWN, "--out", "-"], "--out takes the name of a file, not '-'"),
-        (["run", COUNTDOWN, "--agent", ":x"], "MODULE:CALLABLE"),
-        (["run", COUNTDOWN, "--agent", "os:"], "MODULE:CALLABLE"),
-        (["run", COUNTDOWN, "--agent", "os:sep"], "'os:sep' is a str"),
         (["run", COUNTDOWN, "--agent", "randon"], "no agent 'randon'. Did you mean 'random'?"),
-        (["run", COUNTDOWN, "--wrappers", "conct"], "no wrapper or tool 'conct'. Did you mean 'concat'"),
         (["run", COUNTDOWN, "--backend", "proces"], "no vector backend 'proces'. Did you mean 'process'?"),
-        (
-            ["run", COUNTDOWN, "--backend", "aut"],
-            "no vector backend 'aut'. Did you mean 'auto'? There are: async,",
-        ),
-        (["run", COUNTDOWN, "--step-timeout", "0"], "Invalid value for '--step-timeout': 0.0 is not in the range x>0."),
-        (
-            ["run", COUNTDOWN, "--backend", "sync", "--step-timeout", "1"],
-            "cannot be kept by backend='sync'",
-        ),
+        (["run", COUNTDOWN, "--step-timeout", "0"], "0.0 is not in the range x>0"),
+        (["run", COUNTDOWN, "--backend", "sync", "--step-timeout", "1"], "backend='sync'"),
         (["run", COUNTDOWN, "--resume", "a", "--seed", "1"], "leave --seed, --out and --overwrite out"),
-        (["run", COUNTDOWN, "--resume", "a"], "--resume: there is no file a; a run that begins takes --out"),
-        (["run", COUNTDOWN, "--episodes", "0"], "Invalid value for '-n' / '--episodes': 0 is not in the range x>=1."),
-        (["run", COUNTDOWN, "--seed", "x"], "Invalid value for '-s' / '--seed': 'x' is not a valid integer."),
+        (["run", COUNTDOWN, "--resume", "a"], "there is no file a;"),
+        (["run", COUNTDOWN, "--episodes", "0"], "0 is not in the range x>=1"),
         (["run"], "Missing argument 'ID...'"),
-        (["info", "toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
-        (["info", "game2:X"], "no environment 'game2:X'"),
         (["list", "tooy"], "no environment matches 'tooy'. Did you mean 'toy'"),
         (["plugins", "cre"], "no plugin 'cre'. Did you mean 'core'? Installed: core"),
     ],
@@ -91,12 +72,8 @@ def test_what_is_asked_wrongly_gets_one_line_and_exit_code_2(run_gem, arguments:
 def test_version_and_help(run_gem) -> None:
     """Help has examples, for the command and each subcommand."""
     assert run_gem("--version").out == f"gem-core {gem.__version__}\n"
-    for arguments in (
-        ["--help"],
-        ["list", "-h"],
-        *([name, "--help"] for name in ("info", "play", "run", "plugins")),
-    ):
-        outcome = run_gem(*arguments)
+    for command in ("", "list", "info", "play", "run", "plugins"):
+        outcome = run_gem(*command.split(), "-h")
         assert outcome.code == 0
         assert "Examples:" in outcome.out
 
@@ -105,17 +82,14 @@ def test_the_bare_command_shows_its_help_line_by_line(run_gem) -> None:
     """On standard error, since nothing was asked; the exit code says so too."""
     outcome = run_gem()
     assert (outcome.code, outcome.out) == (2, "")
-    assert outcome.err.startswith("Usage: gem [OPTIONS] COMMAND [ARGS]...\n\n  GEM: a gym for language-model agents.\n")
+    assert outcome.err.startswith("Usage: gem [OPTIONS] COMMAND [ARGS]...\n\n  ")
 
 
 def test_list_finds_by_namespace_part_and_glob(run_gem) -> None:
     """Plain lines when piped, the id first."""
     assert COUNTDOWN in run_gem("list").out
-    assert [line.split()[0] for line in run_gem("list", "toy").out.splitlines()] == [
-        COUNTDOWN,
-        "toy:Echo-v0",
-        "toy:Sums-v0",
-    ]
+    in_toy = [line.split()[0] for line in run_gem("list", "toy").out.splitlines()]
+    assert in_toy == [COUNTDOWN, "toy:Echo-v0", "toy:Sums-v0"]
     found = [line.split()[0] for line in run_gem("list", "countd").out.splitlines()]
     assert COUNTDOWN in found
     assert all("countd" in env_id.lower() for env_id in found)
@@ -168,19 +142,15 @@ def test_an_existing_file_is_not_overwritten_unasked(run_gem) -> None:
     """The error says how to."""
     run_gem("run", COUNTDOWN, "-n", "2", "-o", "a.jsonl")
     outcome = run_gem("run", COUNTDOWN, "-n", "3", "-o", "a.jsonl")
-    assert (outcome.code, outcome.err) == (
-        2,
-        "gem: a.jsonl is there already; choose another file, or add --overwrite\n",
-    )
+    assert outcome.code == 2
+    assert "add --overwrite" in outcome.err
     run_gem("run", COUNTDOWN, "-n", "3", "-o", "a.jsonl", "--overwrite")
     assert len(list(read_episodes("a.jsonl"))) == 3
 
 
-def test_max_turns_counts_calls_of_tools(run_gem, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_max_turns_counts_calls_of_tools(run_gem, offer) -> None:
     """A call is a turn, so the limit stands outside the tools and inside the views."""
-    note = ToolSpec(name="note", entry_point="toys:Notebook")
-    records = registry()._named.setdefault("wrapper", {})
-    monkeypatch.setitem(records, "note", note)
+    offer(ToolSpec(name="note", entry_point="toys:Notebook"))
     Path("noting.py").write_text("def act(observation): return '<note>a</note>'\n")
     run_gem("run", "toy:Echo-v0", "-n", "1", "-t", "3", "-a", "noting:act", "-w", "note,concat", "-o", "a.jsonl")
     (episode,) = read_episodes("a.jsonl")
@@ -193,9 +163,8 @@ def test_a_glob_leaves_out_what_cannot_run_here(run_gem, own_registry) -> None:
     register_open_and_closed()
     outcome = run_gem("run", "half:*", "--seed", "1", "--episodes", "1", "--json")
     assert outcome.code == 0
-    assert outcome.err == (
-        "gem: left out 2 of 3 that cannot run here ('gem info ID' says why): half:Closed-v0, half:Shut-v0\n"
-    )
+    assert outcome.err.count("\n") == 1
+    assert outcome.err.endswith(": half:Closed-v0, half:Shut-v0\n")
     assert [row["id"] for row in json.loads(outcome.out)["environments"]] == ["half:Open-v0"]
 
 
@@ -246,16 +215,15 @@ def test_interrupt_keeps_what_was_finished(tmp_path: Path) -> None:
     assert len(list(read_episodes(tmp_path / "a.jsonl"))) == 3
 
 
-def test_unexpected_errors_are_one_line_and_whole_with_traceback(tmp_path: Path) -> None:
+def test_unexpected_errors_are_one_line_and_whole_with_traceback(run_gem) -> None:
     """An agent that raises is the program's mistake; the line names it, behind the table of what was finished."""
-    (tmp_path / "bad.py").write_text("def act(observation): raise RuntimeError('my bug')\n")
-    done = subprocess_gem("run", COUNTDOWN, "-a", "bad:act", cwd=tmp_path)
-    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
-    assert done.stderr.startswith("gem: RuntimeError: my bug (bad.py:1, in act: ")
-    assert done.stdout.splitlines()[1].split()[:2] == [COUNTDOWN, "0"]
-    done = subprocess_gem("--traceback", "run", COUNTDOWN, "-a", "bad:act", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "Traceback (most recent call last)" in done.stderr
+    Path("bad_agent.py").write_text("def act(observation): raise RuntimeError('my bug')\n")
+    done = run_gem("run", COUNTDOWN, "-a", "bad_agent:act")
+    assert (done.code, done.err.count("\n")) == (1, 1)
+    assert done.err.startswith("gem: RuntimeError: my bug (bad_agent.py:1, in act: ")
+    assert done.out.splitlines()[1].split()[:2] == [COUNTDOWN, "0"]
+    with pytest.raises(RuntimeError):  # Python shows the whole
+        run_gem("--traceback", "run", COUNTDOWN, "-a", "bad_agent:act")
 
 
 def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path) -> None:
@@ -280,32 +248,40 @@ def test_an_agent_at_the_end_of_its_input_is_no_interruption(run_gem) -> None:
     assert outcome.err.startswith("gem: EOFError: no more lines")
 
 
-def test_no_color_is_heeded_in_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def shown(terminal) -> Callable[..., str]:
+    """Return what a command writes to a terminal."""
+
+    def show(*arguments: str, columns: int = 120, **options: str) -> str:
+        session = terminal(*arguments, COLUMNS=str(columns), **options)
+        assert session.end() == 0
+        return session.output
+
+    return show
+
+
+def test_no_color_is_heeded_in_a_terminal(shown) -> None:
     """See no-color.org."""
-    program = [sys.executable, "-c", TERMINAL_PROGRAM, "list", "toy"]
-    assert "\x1b[36m" in in_terminal(program, tmp_path)
-    monkeypatch.setenv("NO_COLOR", "1")
-    assert "\x1b" not in in_terminal(program, tmp_path)
+    assert "\x1b[36m" in shown("list", "toy")
+    assert "\x1b" not in shown("list", "toy", NO_COLOR="1")
 
 
-def test_list_in_a_terminal_has_a_line_for_each_namespace(tmp_path: Path) -> None:
+def test_list_in_a_terminal_has_a_line_for_each_namespace(shown) -> None:
     """With their number, what all of a namespace lacks here, and their names; then the names of tools and the like."""
     needs = "summary='Shut.', requires=('never:it is under repair',)"
     shut = "; ".join(f"gem_core.register('shut:{name}', 'toys:EchoEnv', {needs})" for name in ("A-v0", "A-v1", "B-v0"))
-    command = [sys.executable, "-c", TERMINAL_PROGRAM.replace("main()", f"import gem_core; {shut}; main()"), "list"]
-    shown = COLOUR.sub("", in_terminal(command, tmp_path))
-    assert re.search(r"^shut: +3  \[it is under repair\] A, B\r?$", shown, re.MULTILINE)
-    assert re.search(r"^toy: +3  Countdown, Echo, Sums\r?$", shown, re.MULTILINE)
-    assert re.search(r"^backends  async, auto, process", shown, re.MULTILINE)
-    assert COUNTDOWN not in shown
-    assert {COUNTDOWN, "shut:A-v1"} <= set(COLOUR.sub("", in_terminal([*command, "--all"], tmp_path)).split())
+    listed = click.unstyle(shown("list", code=f"import gem_core; {shut}"))
+    assert re.search(r"^shut: +3  \[it is under repair\] A, B$", listed, re.MULTILINE)
+    assert re.search(r"^toy: +3  Countdown, Echo, Sums$", listed, re.MULTILINE)
+    assert re.search(r"^backends  async, auto, process", listed, re.MULTILINE)
+    assert COUNTDOWN not in listed
+    every = click.unstyle(shown("list", "--all", code=f"import gem_core; {shut}"))
+    assert {COUNTDOWN, "shut:A-v1"} <= set(every.split())
 
 
-def test_progress_and_a_table_in_a_terminal(tmp_path: Path) -> None:
+def test_progress_and_a_table_in_a_terminal(shown) -> None:
     """A bar while it runs, and a table."""
-    output = in_terminal(
-        [sys.executable, "-c", TERMINAL_PROGRAM, "run", COUNTDOWN, "-n", "20", "--seed", "1"], tmp_path
-    )
+    output = shown("run", COUNTDOWN, "-n", "20", "--seed", "1")
     assert "seed 1" in output
     assert "20/20" in output
     assert "\x1b[1menvironment" in output
@@ -314,14 +290,11 @@ def test_progress_and_a_table_in_a_terminal(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("columns", [60, 80, 100])
 @pytest.mark.few(2)
-def test_a_table_keeps_id_success_and_return_whole_in_any_width(tmp_path: Path, columns: int) -> None:
+def test_a_table_keeps_id_success_and_return_whole_in_any_width(shown, columns: int) -> None:
     """What matters least is left out; so are counts that are 0 everywhere."""
     name = "toy:HasANameOf29Letters-v0-ab"
-    program = TERMINAL_PROGRAM.replace(
-        "main()", f"import gem_core; gem_core.register({name!r}, 'toys:CountdownEnv'); main()"
-    )
-    command = [sys.executable, "-c", program, "run", COUNTDOWN, name, "-n", "2", "-s", "1", "-o", "a.jsonl"]
-    output = in_terminal(command, tmp_path, columns)
+    code = f"import gem_core; gem_core.register({name!r}, 'toys:CountdownEnv')"
+    output = shown("run", COUNTDOWN, name, "-n", "2", "-s", "1", "-o", "a.jsonl", code=code, columns=columns)
     closing = output[output.rindex("4 episodes in ") :].splitlines()
     assert max(map(len, closing)) <= columns
     assert " ".join(closing).endswith("(seed 1), written to a.jsonl")
@@ -345,16 +318,13 @@ def test_an_error_is_broken_between_words_in_a_narrow_terminal(capsys: pytest.Ca
         patch.setattr(sys.stderr, "isatty", lambda: True)
         echo_line(f"gem: {message}", err=True)
     lines = capsys.readouterr().err.splitlines()
-    assert lines == [
-        "gem: no plugin 'nope'. Installed: core,",
-        "an-uninterrupted-name-of-40-characters-or-so,",
-        "tools",
-    ]
+    assert " ".join(lines) == f"gem: {message}"
+    assert lines[1:] == ["an-uninterrupted-name-of-40-characters-or-so,", "tools"]
 
 
 def table_in(output: str) -> list[str]:
     """Return the lines of a table without colours, and without what stands around it."""
-    lines = [re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", line).rpartition("\r")[2] for line in output.split("\r\n")]
+    lines = [re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", line).rpartition("\r")[2] for line in output.split("\n")]
     return [line for line in lines if line.strip() and " written to " not in line and "seed 1" not in line]
 
 
@@ -387,36 +357,11 @@ def test_interrupt_while_the_command_is_imported(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (130, "\ngem: interrupted\n")
 
 
-TERMINAL_PROGRAM = "from toys import register_toys; register_toys(); from gem_core.cli import main; main()"
-
-
 @pytest.mark.parametrize("name", ["concat_chat", "turn_limit", COUNTDOWN])
-def test_info_breaks_lines_between_words_and_shows_no_markup(tmp_path: Path, name: str) -> None:
+def test_info_breaks_lines_between_words_and_shows_no_markup(run_gem, shown, name: str) -> None:
     """At 60 columns there are the words that a pipe gets."""
-    command = [sys.executable, "-c", TERMINAL_PROGRAM, "info", name]
-    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
-    piped = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=True).stdout
-    shown = click.unstyle(in_terminal(command, tmp_path, 60))
-    assert "``" not in piped + shown
-    assert shown.split() == piped.split()
-    assert all(len(line) <= 60 or len(line.split()) <= 3 for line in shown.splitlines())
-
-
-def in_terminal(command: list[str], cwd: Path, columns: int = 120) -> str:
-    """Return what a program writes to a terminal."""
-    leader, follower = pty.openpty()
-    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent), "TERM": "xterm", "COLUMNS": str(columns)}
-    with subprocess.Popen(command, cwd=cwd, env=env, stdin=follower, stdout=follower, stderr=follower) as process:
-        os.close(follower)
-        output = b""
-        while select.select([leader], [], [], 60)[0]:
-            try:
-                chunk = os.read(leader, 65536)
-            except OSError:
-                break
-            if not chunk:
-                break
-            output += chunk
-        os.close(leader)
-        assert process.wait() == 0
-    return output.decode()
+    piped = run_gem("info", name).out
+    narrow = click.unstyle(shown("info", name, columns=60))
+    assert "``" not in piped + narrow
+    assert narrow.split() == piped.split()
+    assert all(len(line) <= 60 or len(line.split()) <= 3 for line in narrow.splitlines())

@@ -85,15 +85,10 @@ class StrictEnv(BoardEnv):
         answer = gem.extract_last_boxed_answer(action)
         if answer is None or not answer.isalpha() or answer == "x":
             self.letters = "gone"
-            return (
-                f"{answer} is no letter. The end: abcd.",
-                -1.0,
-                True,
-                False,
-                {"correct": False, "parsed_action": None},
-            )
-        observation, reward, terminated, truncated, info = super().step(action)
-        return observation, reward, terminated, truncated, info | {"parsed_action": answer}
+            info = {"correct": False, "parsed_action": None}
+            return f"{answer} is no letter. The end: abcd.", -1.0, True, False, info
+        *result, info = super().step(action)
+        return *result, info | {"parsed_action": answer}
 
 
 STRICT = "play:Strict-v0"
@@ -174,14 +169,8 @@ def test_answers_over_several_lines(play) -> None:
     typed = f'{BLOCK}\n?\n    """\n!undo\n{BLOCK}\n{BLOCK}a\nb{BLOCK}\n{BLOCK * 2}\n!!x\n\nback\\\\\nstop\n'
     play(ECHO, "-o", "a.jsonl", typed=typed)
     (episode,) = read_episodes("a.jsonl")
-    assert [str(turn.action) for turn in episode.transitions] == [
-        '?\n    """\n!undo',
-        "a\nb",
-        "",
-        "!x",
-        "back\\\\",
-        "stop",
-    ]
+    answers = ['?\n    """\n!undo', "a\nb", "", "!x", "back\\\\", "stop"]
+    assert [str(turn.action) for turn in episode.transitions] == answers
 
 
 def test_an_unfinished_block_is_no_answer(play) -> None:
@@ -352,8 +341,6 @@ def test_messages_are_shown_with_their_roles() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
-        ([COUNTDOWN, "-w", "conct"], "no wrapper or tool 'conct'. Did you mean 'concat'"),
         ([COUNTDOWN, "-o", "there.jsonl"], "there.jsonl is there already; choose another file, or add --overwrite"),
         ([], "Missing argument 'ID'"),
     ],

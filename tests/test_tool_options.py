@@ -44,21 +44,14 @@ def agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 @pytest.mark.parametrize(
     ("text", "tools"),
     [
-        ("box", [("box", {})]),
-        ("box, vault", [("box", {}), ("vault", {})]),
         ("box:prefix=my_", [("box", {"prefix": "my_"})]),
         ("vault,box:prefix=my_,count=2,vault", [("vault", {}), ("box", {"prefix": "my_", "count": 2}), ("vault", {})]),
         ("box:url=http://localhost:8000/x?a=b", [("box", {"url": "http://localhost:8000/x?a=b"})]),
         ('box:on=true,limit=null,rate=0.5,text="7"', [("box", {"on": True, "limit": None, "rate": 0.5, "text": "7"})]),
         ("box:on=False,off=True,limit=None", [("box", {"on": False, "off": True, "limit": None})]),
         ("box:empty=", [("box", {"empty": ""})]),
-        (
-            'box:list=[1, [2]],text="a,b",more={"a": 1, "b": 2},vault',
-            [
-                ("box", {"list": [1, [2]], "text": "a,b", "more": {"a": 1, "b": 2}}),
-                ("vault", {}),
-            ],
-        ),
+        ('box:more={"a": 1, "b": [2]}, box', [("box", {"more": {"a": 1, "b": [2]}}), ("box", {})]),
+        ('box:text="a,b"', [("box", {"text": "a,b"})]),
         ("box:open=[1,count=2", [("box", {"open": "[1", "count": 2})]),
         ('["vault", ["box", {"prefix": "a,b"}]]', [("vault", {}), ("box", {"prefix": "a,b"})]),
         ('{"box": {"prefix": "a,b"}, "vault": {}}', [("box", {"prefix": "a,b"}), ("vault", {})]),
@@ -69,6 +62,12 @@ def test_tools_are_read(text: str, tools: list[Any]) -> None:
     """Names with options behind a colon, or JSON where a value holds commas."""
     assert parsed_choices(text, "--tools") == tools
     assert parsed_choices(text, "--wrappers") == tools
+
+
+def test_wrappers_may_be_named_by_module_and_class() -> None:
+    """With and without options."""
+    choices = [("my.views:Mine", {"size": 2}), ("my.views:Other", {})]
+    assert parsed_choices("my.views:Mine:size=2,my.views:Other", "--wrappers") == choices
 
 
 @pytest.mark.parametrize(
@@ -110,21 +109,6 @@ def test_the_limit_of_turns_stands_outside_the_tools_and_inside_the_views() -> N
         wrapper_stack(("concat",), (), 3, None)
 
 
-@pytest.mark.parametrize(
-    ("text", "wrappers"),
-    [
-        ("concat:max_turns=2,drop_thinking=true,episode_stats", [
-            ("concat", {"max_turns": 2, "drop_thinking": True}), ("episode_stats", {}),
-        ]),
-        ("my.views:Mine", [("my.views:Mine", {})]),
-        ("my.views:Mine:size=2,concat", [("my.views:Mine", {"size": 2}), ("concat", {})]),
-    ],
-)  # fmt: skip
-def test_wrappers_have_options_like_tools(text: str, wrappers: list[Any]) -> None:
-    """And may be named by module and class."""
-    assert parsed_choices(text, "--wrappers") == wrappers
-
-
 def test_run_and_play_pass_options_on_to_wrappers(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:
     """They are in the record; one that the wrapper does not have is told with those that it has."""
     words = ("run", COUNTDOWN, "-n", "1", "-s", "1", "-o", "x.jsonl", "-w", "concat:max_turns=2", "-w", "episode_stats")
@@ -132,10 +116,7 @@ def test_run_and_play_pass_options_on_to_wrappers(run_gem: RunGem, monkeypatch: 
     assert next(read_episodes("x.jsonl")).wrappers == [["concat", {"max_turns": 2}], ["episode_stats", {}]]
     refused = run_gem("run", COUNTDOWN, "-n", "1", "-w", "concat:most=2")
     assert refused.err.startswith("gem: wrapper 'concat': got an unexpected keyword argument 'most'.")
-    assert run_gem("run", COUNTDOWN, "-w", "concat:most").err == (
-        "gem: --wrappers: 'most' is no option of 'concat'; write 'concat:max_turns=2,episode_stats' or JSON as in "
-        '\'[["concat", {"max_turns": 2}]]\'\n'
-    )
+    assert "--wrappers: 'most' is no option of 'concat'" in run_gem("run", COUNTDOWN, "-w", "concat:most").err
     monkeypatch.setattr(sys, "stdin", io.StringIO("7\n"))
     played = run_gem("play", COUNTDOWN, "--seed", "1", "-w", "concat:max_turns=2", "-w", "episode_stats")
     assert played.code == 0
@@ -186,20 +167,10 @@ def test_play_with_tools(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_info_describes_a_tool(run_gem: RunGem) -> None:
     """Its options, who offers it, what is in force here, its docstring, and what an agent is told; also as JSON."""
-    done = run_gem("info", "box")
-    assert done.code == 0
-    assert done.out == (
-        "box · Two tools.\n"
-        "  kind:         tool\n"
-        "  options:      prefix=''\n"
-        "  offered by:   gem-toolbox\n"
-        "  entry point:  gem_toolbox_tools:make_box\n"
-        "  here:         level: high, drawers: 2\n"
-        "\nReturn two tools.\n"
-        "\nWhat an agent is told, without options:\n"
-        "- look: Looks at a lock. Call it with <look>lock</look>\n"
-        '- count: Counts the locks. Call it with <tool_call>{"name": "count", "arguments": {}}</tool_call>\n'
-    )
+    out = run_gem("info", "box").out
+    for part in "Two tools.", "prefix=''", "gem-toolbox", "level: high, drawers: 2", "<look>lock</look>", "- count: ":
+        assert part in out
+    assert "\nReturn two tools.\n" in out
     facts = json.loads(run_gem("info", "box", "--json").out)
     assert [schema["function"]["name"] for schema in facts["schemas"]] == ["look", "count"]
     assert (facts["distribution"], facts["options"], facts["problem"]) == ("gem-toolbox", ["prefix=''"], None)
