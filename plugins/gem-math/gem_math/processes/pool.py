@@ -1,28 +1,29 @@
 """``Pool``: has work done in processes that outlive hostile input: any of it may be ended where it stands.
 
-The processes are shared by all threads of this one, are started when they are needed, and end with it.
+The processes are shared by all threads of this one, are started when they are needed, and end with it. They are not
+those of ``concurrent.futures``, which run the user's script again unless it guards itself by ``__name__``, or copy a
+process that has threads.
 """
 
 from __future__ import annotations
 
 import atexit
 import contextlib
+import json
 import os
 import signal
 import subprocess
 import sys
 import threading
 import weakref
-from itertools import count
+from multiprocessing.connection import Pipe
 from typing import Any
 
 from gem_core.errors import GemError
-from gem_math.processes.wire import SilenceError, WireError, receive, send
 
 _START_S = 300.0
 _SLACK_S = 60.0
 """Seconds of the clock, beside the limit on the processor's time: a net under it for a machine that is overloaded."""
-_PATIENCE_S = 0.2
 _PASSED_ON = ("PATH", "HOME", "LANG", "TMPDIR", "SYSTEMROOT", "VIRTUAL_ENV", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH")
 _FIXED = {"PYTHONHASHSEED": "0", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}
 
@@ -45,45 +46,35 @@ class _Worker:
 
     def __init__(self, module: str) -> None:
         passed = {name: value for name, value in os.environ.items() if name in _PASSED_ON or name.startswith("PYTHON")}
-        self._numbers = count(1)
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "gem_math.processes.worker", module],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env={**passed, **_FIXED},
-            start_new_session=True,
-            bufsize=0,
-        )
-        try:
-            greeting = receive(self._outgoing, _START_S) or {"failed": "its process ended at once"}
-        except WireError as error:
-            greeting = {"failed": str(error)}
-        except BaseException:
-            self.end()
-            raise
-        if "ready" not in greeting:
-            self.end()
-            raise WireError(f"cannot be loaded ({greeting.get('failed')})")
+        self._connection, theirs = Pipe()
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "gem_math.processes.worker", module, str(theirs.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,  # libraries print
+                stderr=subprocess.DEVNULL,
+                env={**passed, **_FIXED},
+                pass_fds=[theirs.fileno()],
+                start_new_session=True,
+            )
 
-    @property
-    def _outgoing(self) -> int:
-        return self._process.stdout.fileno() if self._process.stdout else -1
-
-    def ask(self, request: dict[str, Any], limit_s: float) -> dict[str, Any]:
-        """Return the answer to a request.
+    def receive(self, timeout_s: float) -> dict[str, Any]:
+        """Return its next message.
 
         Raises:
-            WireError: The process does not answer, and has to be ended.
+            TimeoutError: Nothing came in time.
+            EOFError, OSError: It is gone.
         """
-        number = next(self._numbers)
-        if self._process.stdin is None:
-            raise WireError("it was ended")
-        send(self._process.stdin.fileno(), {**request, "number": number, "limit_s": limit_s})
-        answer = receive(self._outgoing, limit_s + _SLACK_S)
-        if answer is None or answer.get("number") != number:
-            raise WireError("its answer did not come")
-        return answer
+        if not self._connection.poll(timeout_s):
+            raise TimeoutError(f"nothing came within {timeout_s:g} s")
+        message: dict[str, Any] = json.loads(self._connection.recv_bytes())
+        return message
+
+    def ask(self, request: dict[str, Any], limit_s: float) -> dict[str, Any]:
+        """Return the answer to a request; raise what ``receive`` raises."""
+        # ASCII only: text of a model may hold lone surrogates, which UTF-8 cannot.
+        self._connection.send_bytes(json.dumps({**request, "limit_s": limit_s}).encode("ascii"))
+        return self.receive(limit_s + _SLACK_S)
 
     def end(self) -> None:
         """End it and its child."""
@@ -93,11 +84,9 @@ class _Worker:
         self._process.wait()
 
     def close(self) -> None:
-        """Close the pipes, upon which it ends by itself."""
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                with contextlib.suppress(OSError):
-                    pipe.close()
+        """Close the connection, upon which it ends by itself."""
+        with contextlib.suppress(OSError):
+            self._connection.close()
 
 
 class Pool:
@@ -117,10 +106,9 @@ class Pool:
 
     def _forget(self) -> None:
         """Begin without processes: after a fork they are the parent's."""
-        self._changed = threading.Condition()
+        self._slots = threading.Semaphore(self._most)
         self._idle: list[_Worker] = []
         self._all: set[_Worker] = set()
-        self._starting = 0
 
     def ask(self, request: dict[str, Any], limit_s: float) -> dict[str, Any]:
         """Return the answer to a request; safe to call from several threads.
@@ -136,78 +124,64 @@ class Pool:
             EndedError: It took more than the limit, or died.
             GemError: Of the pool's type: a process cannot be started, is ended from outside, or gets no time.
         """
-        try:
-            answer = self._ask(request, limit_s)
-        except SilenceError as error:
-            raise self._error(f"{self._name} did not answer: {error}; is the machine overloaded?") from error
-        except WireError:
-            # Something else ended the process, and the idle ones perhaps: whoever asked did nothing wrong.
-            with self._changed:
-                idle, self._idle = self._idle, []
-            for worker in idle:
-                self._drop(worker)
+        with self._slots:
             try:
-                answer = self._ask(request, limit_s)
-            except WireError as error:
-                raise self._error(f"the process that runs {self._name} was ended twice: {error}") from error
+                answer = self._asked(self._take(), request, limit_s)
+            except (EOFError, ConnectionError):
+                # Something else ended the process: whoever asked did nothing wrong.
+                try:
+                    answer = self._asked(self._start(), request, limit_s)
+                except (EOFError, ConnectionError) as error:
+                    raise self._error(f"the process that runs {self._name} was ended twice") from error
         ended = answer.get("ended")
         if ended is not None:
             late = ended == "time"
             raise EndedError(f"it took more than {limit_s:g} s" if late else f"its process died ({ended})", late=late)
         return answer
 
-    def _ask(self, request: dict[str, Any], limit_s: float) -> dict[str, Any]:
-        worker = self._take()
+    def _asked(self, worker: _Worker, request: dict[str, Any], limit_s: float) -> dict[str, Any]:
+        """Return a worker's answer, after which it is idle; end it if none comes."""
         try:
             answer = worker.ask(request, limit_s)
+        except BaseException as error:
+            self._drop(worker)
+            if isinstance(error, TimeoutError):
+                message = f"{self._name} did not answer: {error}; is the machine overloaded?"
+                raise self._error(message) from error
+            raise
+        self._idle.append(worker)
+        return answer
+
+    def _take(self) -> _Worker:
+        try:
+            return self._idle.pop()
+        except IndexError:
+            return self._start()
+
+    def _start(self) -> _Worker:
+        worker = _Worker(self._module)
+        self._all.add(worker)
+        try:
+            failed = worker.receive(_START_S).get("failed")
+        except (EOFError, OSError) as error:
+            failed = str(error) or "its process ended at once"
         except BaseException:
             self._drop(worker)
             raise
-        with self._changed:
-            self._idle.append(worker)
-            self._changed.notify()
-        return answer
-
-    def _count(self) -> int:
-        return len(self._all) + self._starting
-
-    def _take(self) -> _Worker:
-        with self._changed:
-            while not self._idle:
-                # A second process takes seconds to start: only where the others are busy for some time.
-                first = not self._count()
-                freed = not first and self._changed.wait(_PATIENCE_S if self._count() < self._most else None)
-                if not freed and not self._idle and self._count() < self._most:
-                    self._starting += 1
-                    break
-            else:
-                return self._idle.pop()
-        try:
-            worker = _Worker(self._module)
-        except BaseException as error:
-            with self._changed:
-                self._starting -= 1
-                self._changed.notify_all()
-            if isinstance(error, WireError):
-                raise self._error(f"{self._name} {error}") from error
-            raise
-        with self._changed:
-            self._starting -= 1
-            self._all.add(worker)
+        if failed:
+            self._drop(worker)
+            raise self._error(f"{self._name} cannot be loaded ({failed})")
         return worker
 
     def _drop(self, worker: _Worker) -> None:
         worker.end()
-        with self._changed:
-            self._all.discard(worker)
-            self._changed.notify_all()
+        self._all.discard(worker)
 
     def end(self) -> None:
         """End all processes."""
-        with self._changed:
-            workers, self._all, self._idle = self._all, set(), []
-        for worker in workers:
-            worker.end()
+        self._idle.clear()
+        for worker in list(self._all):
+            self._drop(worker)
 
     def after_fork(self) -> None:
         """Close what a fork has copied, and begin anew."""

@@ -1,4 +1,4 @@
-"""A process that works: requests come in on standard input, answers go out on standard output.
+"""A process that works: requests come in on a connection, and answers go out on it.
 
 It has the same hash seed everywhere, and its work has limits that hold whatever it does: a timer of the kernel that
 ends it, and a limit of memory. So there are two processes: one that has imported what is needed and waits, and its
@@ -9,64 +9,56 @@ from __future__ import annotations
 
 import gc
 import importlib
+import json
 import mmap
 import os
 import resource
 import signal
-import struct
 import sys
 from collections.abc import Callable
+from multiprocessing.connection import Connection
 from typing import Any
 
-from gem_math.processes.wire import WireError, receive, send
-
-_NUMBER = struct.Struct("<Q")
 _MORE_BYTES = 1 << 30
 """Memory that a child may take on top of what it begins with."""
-_MOST_IDLE_DEATHS = 5
 _MOST_REQUESTS, _RENEWED = 5000, 3
 """After so many requests a child makes room for a fresh one, since libraries have caches that grow; its exit code."""
 
 Handle = Callable[[dict[str, Any]], dict[str, Any]]
 
 
-def main() -> int:
-    """Serve until standard input is closed."""
+def main() -> None:
+    """Serve until the connection is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    incoming, outgoing = os.dup(0), os.dup(1)
-    nowhere = os.open(os.devnull, os.O_RDWR)
-    for standard in (0, 1):  # libraries print
-        os.dup2(nowhere, standard)
+    caller = Connection(int(sys.argv[2]))
     try:
         handle: Handle = importlib.import_module(sys.argv[1]).load()
     except Exception as error:  # noqa: BLE001 - whatever keeps a library from loading is told
-        send(outgoing, {"failed": f"{type(error).__name__}: {error}"})
-        return 1
-    send(outgoing, {"ready": True})
-    return _supervise(incoming, outgoing, handle)
+        _send(caller, {"failed": f"{type(error).__name__}: {error}"})
+        return
+    _send(caller, {"ready": True})
+    _supervise(caller, handle)
 
 
-def _supervise(incoming: int, outgoing: int, handle: Handle) -> int:
+def _send(caller: Connection, message: dict[str, Any]) -> None:
+    caller.send_bytes(json.dumps(message).encode("ascii"))
+
+
+def _supervise(caller: Connection, handle: Handle) -> None:
     """Have a child work, and answer in its place when it was ended."""
     gc.collect()
     gc.freeze()
-    doing = mmap.mmap(-1, _NUMBER.size)  # shared with the child: the number of the request in hand
-    idle_deaths = 0
-    while idle_deaths < _MOST_IDLE_DEATHS:
+    busy = mmap.mmap(-1, 1)  # shared with the child: whether it has a request in hand
+    while True:
         child = os.fork()
         if child == 0:
-            _work(incoming, outgoing, handle, doing)
+            _work(caller, handle, busy)
         _, status = os.waitpid(child, 0)
-        (number,) = _NUMBER.unpack(doing[:])
-        if number:
-            doing[:] = _NUMBER.pack(0)
-            send(outgoing, {"number": number, "ended": _reason(status)})
-            idle_deaths = 0
-        elif os.WIFEXITED(status) and os.WEXITSTATUS(status) == 0:
-            return 0
+        if busy[0]:
+            busy[0] = 0
+            _send(caller, {"ended": _reason(status)})
         elif not (os.WIFEXITED(status) and os.WEXITSTATUS(status) == _RENEWED):
-            idle_deaths += 1
-    return 1
+            return  # nobody is there to answer, or something else ended the child
 
 
 def _reason(status: int) -> str:
@@ -76,22 +68,19 @@ def _reason(status: int) -> str:
     return "time" if number == signal.SIGPROF else signal.Signals(number).name
 
 
-def _work(incoming: int, outgoing: int, handle: Handle, doing: mmap.mmap) -> None:
+def _work(caller: Connection, handle: Handle, busy: mmap.mmap) -> None:
     """Answer requests; never returns."""
     code = 1
     try:
         _limit_memory()
         for _ in range(_MOST_REQUESTS):
-            request = receive(incoming)
-            if request is None:
-                os._exit(0)
-            number = request["number"]
-            doing[:] = _NUMBER.pack(number)
+            request = json.loads(caller.recv_bytes())
+            busy[0] = 1
             answer = _answer(handle, request)
-            send(outgoing, {**answer, "number": number})
-            doing[:] = _NUMBER.pack(0)
+            busy[0] = 0
+            _send(caller, answer)
         code = _RENEWED
-    except WireError:
+    except (EOFError, OSError):
         code = 0  # nobody is there to answer
     finally:
         os._exit(code)
@@ -118,4 +107,4 @@ def _limit_memory() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
