@@ -6,7 +6,7 @@ that settles nothing and for an invalid move, -0.1 for a response that cannot be
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from gem_core.env import Env
@@ -94,7 +94,6 @@ class Game(Env):
         super().__init__()
         check_flag("format_error_ends", format_error_ends)
         self.format_error_ends = format_error_ends
-        self._openings: dict[Hashable, tuple[str, str, str]] = {}
 
     @property
     def return_range(self) -> tuple[float, float]:  # type: ignore[override]  # depends on the arguments
@@ -114,10 +113,6 @@ class Game(Env):
     def _situation(self) -> str:
         """Show how things stand: a line break, all that a player must know who sees nothing else, ``_turns_left``."""
         raise NotImplementedError
-
-    def _opening_key(self) -> Hashable:
-        """Return what the first observation depends on, where that is so little that it is worth keeping; else None."""
-        return None
 
     def _read(self, answer: str, /) -> Any:
         """Return the content of a box in the form that ``_play`` takes; None if it has not the form of an answer."""
@@ -143,21 +138,12 @@ class Game(Env):
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin a game; the feedback is its rules."""
-        Env.reset(self, seed)  # named, since super() costs a twentieth of a whole reset
+        super().reset(seed)
         self.turn = 0
         self.outcome = _PLAYING
         self._deal(CheapRandom(self.np_random_seed))
-        key = self._opening_key()
-        observation, feedback, suffix = self._openings.get(key) or self._open(key)
-        return observation, {"feedback": feedback, "suffix": suffix}
-
-    def _open(self, key: Hashable) -> tuple[str, str, str]:
-        """Return the first observation, its feedback and its suffix, and keep them under ``key``."""
         feedback, suffix = self._rules() + self._reading_rules(), self._situation()
-        opening = feedback + suffix, feedback, suffix
-        if key is not None:
-            self._openings[key] = opening
-        return opening
+        return feedback + suffix, {"feedback": feedback, "suffix": suffix}
 
     def _reading_rules(self) -> str:
         """Say what happens to a response that cannot be read, and to an answer that breaks a rule."""

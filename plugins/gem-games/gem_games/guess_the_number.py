@@ -3,7 +3,6 @@ r"""GuessTheNumber: find a hidden number; after each guess comes 'higher' or 'lo
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
 
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
@@ -89,9 +88,6 @@ class GuessTheNumberEnv(Game):
             f"\nThe number is from {self.min_number} to {self.max_number}. Hints so far: {self._hints or 'none'}.\n"
             + self._turns_left("Put your guess inside \\boxed{}.")
         )
-
-    def _opening_key(self) -> Hashable:
-        return self.min_number, self.max_number, self.max_turns
 
     _read = staticmethod(whole_number)
 

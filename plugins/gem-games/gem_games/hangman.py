@@ -2,8 +2,6 @@ r"""Hangman: find a word by asking for letters, and say it."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-
 from gem_core.types import StepResult
 from gem_games.cheap_random import CheapRandom
 from gem_games.game import Game, check_flag, check_whole, painted, sizes_to_draw
@@ -90,9 +88,6 @@ class HangmanEnv(Game):
             f"Tried so far: {', '.join(self.tried) or 'nothing'}.\n"
             + self._turns_left("Put a letter or the whole word inside \\boxed{}.")
         )
-
-    def _opening_key(self) -> Hashable:
-        return self.word_length, self.max_turns
 
     def _read(self, answer: str) -> str | None:
         return answer.upper() if answer.isascii() and answer.isalpha() else None

@@ -3,7 +3,6 @@ r"""Mastermind: find a secret code; each guess is marked with black and white pe
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
 from operator import eq
 
 from gem_core.errors import ArgumentError
@@ -110,9 +109,6 @@ class MastermindEnv(Game):
             f"Guesses so far:{self._marked or ' none'}\n"
             + self._turns_left("Put your guess inside \\boxed{}, with spaces between the numbers.")
         )
-
-    def _opening_key(self) -> Hashable:
-        return self.code_length, self.num_numbers, self.max_turns
 
     def _read(self, answer: str) -> list[int] | None:
         return whole_numbers(answer)

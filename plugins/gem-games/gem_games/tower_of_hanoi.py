@@ -3,7 +3,7 @@ r"""Tower of Hanoi: move a tower of disks from peg A to peg C."""
 from __future__ import annotations
 
 import re
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 
 from gem_core.errors import ArgumentError
 from gem_core.types import StepResult
@@ -81,9 +81,6 @@ class TowerOfHanoiEnv(Game):
             f"A:{rows['A'] or ' empty'}\nB:{rows['B'] or ' empty'}\nC:{rows['C'] or ' empty'}\n"
             + self._turns_left("Answer like \\boxed{A B}: from peg A to peg B.")
         )
-
-    def _opening_key(self) -> Hashable:
-        return self.num_disks, self.max_turns
 
     def _read(self, answer: str) -> tuple[str, str] | None:
         match = _MOVE.fullmatch(answer)

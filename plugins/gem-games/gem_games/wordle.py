@@ -2,8 +2,6 @@ r"""Wordle: find a secret word; each guess is marked letter by letter."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-
 from gem_core.types import StepResult
 from gem_games.cheap_random import CheapRandom
 from gem_games.game import Game, check_flag, check_whole, painted, sizes_to_draw
@@ -91,9 +89,6 @@ class WordleEnv(Game):
             f"\nThe word has {self.word_length} letters. Guesses so far:{self._marked or ' none'}\n"
             + self._turns_left("Put your guess inside \\boxed{}.")
         )
-
-    def _opening_key(self) -> Hashable:
-        return self.word_length, self.max_turns
 
     def _read(self, answer: str) -> str | None:
         return letters(answer)

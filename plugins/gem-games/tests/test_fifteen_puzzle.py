@@ -124,24 +124,6 @@ def test_one_turn_leaves_one_slide() -> None:
         assert env.tiles[-1] in (12, 15)
 
 
-@pytest.mark.parametrize(
-    ("answer", "tiles", "feedback"),
-    [
-        ("up", [1, 3, 0, 2], "Tile 1 slid up."),
-        ("Left", [3, 0, 1, 2], "Tile 3 slid left."),
-        ("down", [0, 3, 1, 2], "No tile can slide down. The turn is lost."),
-        ("right", [0, 3, 1, 2], "No tile can slide right. The turn is lost."),
-    ],
-)
-def test_a_tile_slides_into_the_gap(answer: str, tiles: list[int], feedback: str) -> None:
-    """From below for up, from the right for left; where there is none, nothing changes."""
-    env = puzzle(0, 3, 1, 2)
-    _, reward, terminated, truncated, info = env.step(box(answer))
-    assert (reward, terminated, truncated) == (0.0, False, False)
-    assert (env.tiles, info["feedback"]) == (tiles, feedback)
-    assert info["parsed_action"] == (None if "lost" in feedback else answer.lower())
-
-
 def test_every_slide_can_be_taken_back() -> None:
     """In all four ways, on a board of which the gap is in the middle."""
     env = FifteenPuzzleEnv(50, 3)
@@ -156,15 +138,6 @@ def test_every_slide_can_be_taken_back() -> None:
     assert len(boards) == 4
 
 
-def test_order_wins_with_one() -> None:
-    observation, reward, terminated, truncated, info = puzzle(1, 2, 0, 3).step(box("left"))
-    assert (reward, terminated, truncated, info["correct"]) == (1.0, True, False, True)
-    assert observation == (
-        "Tile 3 slid left. All tiles stand in order: well done.\n"
-        "The board (_ is the gap):\n 1  2\n 3  _\nThe game is over: you won."
-    )
-
-
 @pytest.mark.parametrize(
     ("tiles", "answer", "reward"),
     [([1, 0, 3, 2], "right", 0.25), ([0, 2, 1, 3], "up", 0.5), ([1, 0, 3, 2], "down", 0.5)],
@@ -174,15 +147,3 @@ def test_last_turn_pays_the_share_in_place(tiles: list[int], answer: str, reward
     observation, got, terminated, truncated, info = puzzle(*tiles, max_turns=1).step(box(answer))
     assert (got, terminated, truncated, info["correct"]) == (reward, True, False, False)
     assert observation.endswith("The game is over: you lost.")
-
-
-@pytest.mark.parametrize("answer", ["", "north", "5", "up up", "\x00", "\ud800"])
-def test_anything_else_ends_the_game(answer: str) -> None:
-    _, reward, terminated, _, info = puzzle(0, 3, 1, 2).step(box(answer))
-    assert (reward, terminated, info["correct"], info["parsed_action"]) == (-0.1, True, False, None)
-
-
-def test_drawing() -> None:
-    env = puzzle(1, 0, 3, 2)
-    env.render_mode = "ansi"
-    assert str(env.render()).startswith("\x1b[32m  1\x1b[0m  ·\n\x1b[32m  3\x1b[0m\x1b[33m  2\x1b[0m\n")

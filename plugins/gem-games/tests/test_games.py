@@ -201,48 +201,6 @@ def test_sampling_ends_where_all_numbers_were_guessed() -> None:
     assert env.sample_random_action() in ("\\boxed{1}", "\\boxed{2}")
 
 
-def uncoloured(env: Any) -> str:
-    """Return what an environment draws without its colours."""
-    return re.sub(r"\x1b\[\d+m", "", str(env.render()))
-
-
-def test_drawings_are_coloured() -> None:
-    """As the render mode "ansi" of Gymnasium allows; every colour is ended on its line."""
-    code = MastermindEnv(2, 4, 5)
-    code.render_mode = "ansi"
-    code.reset(seed=0)
-    code.code = [1, 2]
-    code.step("\\boxed{1 1}")
-    code.step("\\boxed{2 4}")
-    assert code.render() == (
-        "      ?   ?\n  1.  1   1   \x1b[32m●\x1b[0m\n  2.  2   4   \x1b[33m○\x1b[0m\n"
-        "turn 2 of 5 · \x1b[1mplaying\x1b[0m"
-    )
-
-
-def test_drawings() -> None:
-    """The three drawings, as a person sees them."""
-    tower = TowerOfHanoiEnv(2, 5)
-    tower.render_mode = "ansi"
-    tower.reset(seed=0)
-    tower.step("\\boxed{A C}")
-    assert uncoloured(tower) == (
-        "  │     │     │\n█████   │    ███\n───── ───── ─────\n  A     B     C\nturn 1 of 5 · playing"
-    )
-    code = MastermindEnv(2, 4, 5)
-    code.render_mode = "ansi"
-    code.reset(seed=0)
-    code.code = [1, 2]
-    code.step("\\boxed{2 4}")
-    assert uncoloured(code) == "      ?   ?\n  1.  2   4   ○\nturn 1 of 5 · playing"
-    number = GuessTheNumberEnv(1, 10, 5)
-    number.render_mode = "ansi"
-    number.reset(seed=0)
-    number.number = 3
-    number.step("\\boxed{5}")
-    assert uncoloured(number) == f"1 {'█' * 20}{'·' * 30} 10\nopen: 1 to 4 · guesses: 5\nturn 1 of 5 · playing"
-
-
 @given(st.integers(-(10**200), 10**200))
 def test_whole_number_reads_what_python_writes(number: int) -> None:
     read = whole_number(str(number))

@@ -115,18 +115,6 @@ def test_mines_depend_on_the_seed_and_vary() -> None:
     assert frozenset[int]().union(*filter(None, fields)) == set(range(25)) - {0, 1, 5, 6}
 
 
-def test_reveal_counts_the_mines_around() -> None:
-    env = field(0, 2)
-    _, reward, terminated, truncated, info = env.step(box("reveal 0 1"))
-    assert (reward, terminated, truncated) == (0.1, False, False)
-    assert (info["feedback"], info["parsed_action"]) == ("You revealed 1 cell.", "reveal 0 1")
-    assert info["suffix"] == (
-        "\nThe board with 2 mines (. hidden, F flag, * mine), rows and columns numbered from 0:\n"
-        "     0  1  2  3\n  0  .  2  .  .\n  1  .  .  .  .\n  2  .  .  .  .\n"
-        "Turns left: 19. Answer like \\boxed{reveal 0 1} or \\boxed{flag 0 1}: row 0, column 1."
-    )
-
-
 def test_reveal_without_mines_around_goes_on() -> None:
     """To the cells around it, and from those without mines around on; cells with flags are left."""
     env = field(0)
@@ -136,75 +124,11 @@ def test_reveal_without_mines_around_goes_on() -> None:
     assert env.shown == ".10F" + "1100" + "0000"
 
 
-def test_all_safe_cells_win_without_flags() -> None:
-    """Unlike in gem-llm, which waits for a flag on every mine."""
-    _, reward, terminated, truncated, info = field(0).step(box("reveal 2 3"))
-    assert (reward, terminated, truncated, info["correct"]) == (1.0, True, False, True)
-    assert info["feedback"] == "You revealed 11 cells. No cell without a mine is left: well done."
-
-
-def test_a_safe_cell_with_a_flag_is_still_to_be_revealed() -> None:
-    env = field(0)
-    env.step(box("flag 0 3"))
-    env.step(box("reveal 2 3"))
-    env.step(box("flag 0 3"))
-    _, reward, terminated, _, info = env.step(box("reveal 0 3"))
-    assert (reward, terminated, info["correct"]) == (pytest.approx(1 / 11), True, True)
-
-
 def test_a_mine_loses_and_shows_all() -> None:
     env = field(0, 5)
     _, reward, terminated, truncated, info = env.step(box("reveal 1 1"))
     assert (reward, terminated, truncated, info["correct"]) == (0.0, True, False, False)
     assert (info["feedback"], env.shown) == ("You revealed a mine.", "*....*......")
-
-
-def test_a_flag_comes_and_goes() -> None:
-    env = field(0)
-    _, reward, _, _, info = env.step(box("FLAG 0 0"))
-    assert (reward, info["feedback"], info["parsed_action"]) == (0.0, "You put a flag there.", "flag 0 0")
-    assert env.shown[0] == "F"
-    assert env.step(box("flag 0 0"))[4]["feedback"] == "You took the flag away."
-    assert env.shown[0] == "."
-
-
-@pytest.mark.parametrize(
-    ("answer", "feedback"),
-    [
-        ("reveal 0 1", "That cell is revealed already."),
-        ("flag 0 1", "That cell is revealed already."),
-        ("reveal 0 0", "That cell has a flag."),
-        ("reveal 3 0", "There is no row 3 with a column 0 on the board."),
-        ("flag 0 4", "There is no row 0 with a column 4 on the board."),
-        ("reveal -1 0", "There is no row -1 with a column 0 on the board."),
-        ("reveal 0 " + "9" * 500, "There is no row 0 with a column 9999999999 on the board."),
-        ("open 0 2", "You can reveal or flag a cell, not 'open' it."),
-    ],
-)
-def test_what_cannot_be_done_changes_nothing(answer: str, feedback: str) -> None:
-    """Also to reveal a mine that has a flag, which loses in gem-llm."""
-    env = field(0)
-    env.step(box("flag 0 0"))
-    env.step(box("reveal 0 1"))
-    before = env.shown
-    _, reward, terminated, _, info = env.step(box(answer))
-    assert (reward, terminated, info["parsed_action"]) == (0.0, False, None)
-    assert (info["feedback"], env.shown) == (f"{feedback} The turn is lost.", before)
-
-
-@pytest.mark.parametrize(("answer", "reward"), [("reveal 0 1", 1 / 11), ("flag 0 0", 0.0), ("x", -0.1)])
-def test_last_turn_is_rewarded_like_any_other(answer: str, reward: float) -> None:
-    _, got, terminated, truncated, info = field(0, max_turns=1).step(box(answer))
-    assert got == pytest.approx(reward)
-    assert (terminated, truncated, info["correct"]) == (True, False, False)
-
-
-@pytest.mark.parametrize(
-    "answer", ["", "reveal", "reveal 1", "1 1", "reveal 1 1 1", "reveal a b", "reveal 1,1", "reveal \u0661 1", "\ud800"]
-)
-def test_anything_else_ends_the_game(answer: str) -> None:
-    _, reward, terminated, _, info = field(0).step(box(answer))
-    assert (reward, terminated, info["correct"], info["parsed_action"]) == (-0.1, True, False, None)
 
 
 def test_random_actions_are_left_when_all_hidden_cells_have_flags() -> None:
@@ -213,12 +137,3 @@ def test_random_actions_are_left_when_all_hidden_cells_have_flags() -> None:
     for column in range(4):
         env.step(box(f"flag 0 {column}"))
     assert re.fullmatch(r"\\boxed\{flag 0 [0-3]\}", env.sample_random_action())
-
-
-def test_drawing() -> None:
-    env = field(0, rows=1, cols=4)
-    env.render_mode = "ansi"
-    env.step(box("reveal 0 1"))
-    env.step(box("flag 0 0"))
-    drawing = "\x1b[2m    0 1 2 3\x1b[0m\n 0 \x1b[33m F\x1b[0m\x1b[34m 1\x1b[0m\x1b[1m ■\x1b[0m\x1b[1m ■\x1b[0m\n"
-    assert str(env.render()).startswith(drawing)
