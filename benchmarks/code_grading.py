@@ -1,4 +1,4 @@
-"""How many programs gem-code grades in a second, beside gem-llm's CodeEnv.
+"""After a change of gem-code's runner: how many programs are graded in a second, beside gem-llm's CodeEnv.
 
 The programs are those of code:Sample that read standard input: for each problem the right one and one that is wrong, on
 the same tests, 12 at most. gem-llm runs them as it does by default: without a sandbox, five tests at a time, each in a

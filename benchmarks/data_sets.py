@@ -1,4 +1,4 @@
-"""Resets, verdicts and memory of environments on 60,000 rows, beside gem-llm's on the same rows.
+"""After a change of gem_core.data: resets, verdicts and memory on 60,000 rows, beside gem-llm's on the same rows.
 
 (The file is not called ``datasets``, which would hide the library of that name.) Each side runs in a process of its
 own, and the processes alternate. Ours is given the file, gem-llm the loaded data set, since it takes no file; its first

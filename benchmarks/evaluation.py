@@ -1,9 +1,9 @@
-"""What `gem eval` costs beside inspect_ai and the bare `openai` package, with a server that answers at once.
+"""After a change of `gem eval` or gem-openai: what a run costs beside inspect_ai and the bare `openai` package.
 
-A game of six turns, 500 times, 64 at once: a guess that is well-formed and never right answers each turn. The peers
-send the same six messages of the user, and nothing is graded there. The server runs in a process of its own, and
-notes when the first completion is asked for. Figures of a case are those of its whole process, from the command to its
-end: imports, the game, the requests, the record.
+A server answers at once. A game of six turns, 500 times, 64 at once: a guess that is well-formed and never right
+answers each turn. The peers send the same six messages of the user, and nothing is graded there. The server runs in a
+process of its own, and notes when the first completion is asked for. Figures of a case are those of its whole process,
+from the command to its end: imports, the game, the requests, the record.
 
 inspect_ai and openai live in an environment beside ours, `.venv-inspect`; where it is not there, they are left out.
 """

@@ -1,4 +1,4 @@
-"""How long the native games take beside gem-llm's: steps and resets apart, the same actions on both sides.
+"""After a change of a native game: how long steps and resets take beside gem-llm's, with the same actions.
 
 Each side plays in a process of its own, one game after another; the processes alternate. A figure is the median over
 all episodes of a process, and the table shows the medians of these. gem-llm is asked for its classes, not its

@@ -1,4 +1,4 @@
-"""Measure the same work in our environment and in the peer's, side by side.
+"""For all benchmarks: measure the same work in our environment and in the peer's, side by side.
 
 A benchmark names its *cases*: a command each. ``measure`` runs them in turn, A B C A B C …, so that a change in the
 machine's speed meets all of them, and takes medians. Two kinds of figures come out of a run of a command: the wall time

@@ -1,4 +1,4 @@
-"""How long `import gem_core` takes over a bare interpreter, beside the peer's `import gem`, and how long `gem list`."""
+"""After a change of imports: how long `import gem_core` takes, beside the peer's `import gem`, and `gem list`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-r"""How many answers a second are graded: gem-llm's MathEnv and ours, on the same pairs, each with its limit of 1 s.
+r"""After a change of gem_math.grading: answers graded in a second, by gem-llm's MathEnv and ours, each within 1 s.
 
 Half of the pairs are plain (numbers, fractions, decimals), half are written in another form, so that they need symbolic
 comparison (radicals, polynomials, trigonometry, sets); half of each are right. No pair comes twice, and nothing is

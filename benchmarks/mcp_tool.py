@@ -1,4 +1,4 @@
-"""What the tool ``mcp`` adds to a call: the time of one beside that of the protocol library's bare client.
+"""After a change of the tool ``mcp``: the time of a call beside that of the protocol library's bare client.
 
 Both sides call the same tool, which gives its text back, of the same server over standard input and output: one call
 after another, and in eight sessions at once, each with a server of its own. Figures are medians of single calls: of the

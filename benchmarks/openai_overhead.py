@@ -1,4 +1,4 @@
-"""What the agent `openai` costs a turn, and how busy 64 episodes keep a server that answers in 0.1 s.
+"""After a change of gem-openai: what a turn costs, and how busy 64 episodes keep a server that answers in 0.1 s.
 
 The server runs in a process of its own and counts, over time, how many requests it has in flight. Our own time is the
 processor time of the process that rolls out, all of it (environment, rollout, agent, HTTP), divided by the turns. The

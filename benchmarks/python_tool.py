@@ -1,4 +1,4 @@
-"""How many short scripts the Python tool runs in a second, beside gem-llm's, and how long one call takes.
+"""After a change of the Python tool: how many short scripts run in a second, beside gem-llm's, and one call's time.
 
 Both run the same scripts in the same run, one in six of which fails. The peer starts an interpreter for each call, and
 a second one after a name that is not defined; without a sandbox, its default. Ours runs in the strongest that is to be

@@ -1,4 +1,4 @@
-"""How long a query of the search tool takes, and how long it takes to index a corpus once and to open it again.
+"""After a change of the search tool: how long a query takes, and to index a corpus once and to open it again.
 
 By default 50,000 synthetic passages; the budget is for a million: ``python benchmarks/search.py --passages 1000000``,
 which takes some minutes and 4 GB of memory the first time, and seconds from the cache after that. Words are drawn as in

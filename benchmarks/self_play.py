@@ -1,4 +1,4 @@
-"""What self-play costs beside a bare loop over TextArena: the same games with the same moves, in one process.
+"""After a change of joint rollouts or ta:*: what self-play costs beside a bare loop over TextArena, same moves.
 
 Ours is the loop over ``ta:…-multi``, with a view for each seat, rewards and infos. The bare loop is TextArena's own:
 ``ta.make``, ``reset``, then ``get_observation`` and ``step`` until the game is done. The moves were drawn by random

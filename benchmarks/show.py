@@ -1,4 +1,4 @@
-"""How soon `gem show` shows something of a large file, and how long its index takes. There is no peer to measure.
+"""After a change of `gem show`: how soon it shows something of a large file, and how long its index takes. No peer.
 
 The file is written to a temporary folder and deleted: ``python benchmarks/show.py --megabytes 1000``.
 """

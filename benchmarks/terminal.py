@@ -1,4 +1,4 @@
-"""How long a terminal task takes, beside the container client driven by hand.
+"""After a change of gem-terminal's engine: how long a task takes, beside the container client driven by hand.
 
 gem-llm's own environment for such tasks is not measured: it runs the trials of another program, which needs Python
 3.12, Docker Compose, and tmux and asciinema in each image. In its place stands what it would need at least: ``docker

@@ -1,4 +1,4 @@
-"""What our learner costs beside a bare PyTorch loop, and what playing beside learning saves.
+"""After a change of gem-train's learner: its cost beside a bare PyTorch loop, and what playing beside learning saves.
 
 The bare loop is what a practitioner writes in an hour: a list of environments made by ``gem.make``, prompts padded on
 the left, torch's own modules and ``torch.multinomial``. It runs with cached keys and values, and where prompts are

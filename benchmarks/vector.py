@@ -1,4 +1,4 @@
-"""What a vector environment adds to fast environments: steps a second, the cost of autoreset, and memory.
+"""After a change of gem_core.vector: steps a second of fast environments, the cost of autoreset, and memory.
 
 Every side steps the same game with the same fixed actions. Beside ours stand the peer, gem-llm, and Gymnasium's
 ``SyncVectorEnv`` around our environment. What waits or computes for long is measured in ``vector_waiting.py`` and

@@ -1,4 +1,4 @@
-"""Worker processes: how much faster environments that compute become, and what large observations cost on the way.
+"""After a change of worker processes: how much faster computing gets, and what large observations cost on the way.
 
 Beside ours stand the peer, gem-llm, whose threads share one interpreter, and Gymnasium's ``AsyncVectorEnv`` around our
 environment, which starts a process for each.

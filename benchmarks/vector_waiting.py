@@ -1,4 +1,4 @@
-"""How long a batch takes whose environments wait 0.1 s, as for a network, and what one that waits for 5 s holds up.
+"""After a change of waiting in gem_core.vector: a batch that waits 0.1 s, and what one that waits for 5 s holds up.
 
 Beside ours stand the peer, gem-llm, with its threads, and Gymnasium's ``AsyncVectorEnv`` around our environment, which
 starts a process for each: 512 of them take some 2 GB.

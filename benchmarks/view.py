@@ -1,4 +1,4 @@
-"""How soon `gem view` shows a large run: page, filter, sort, scroll, episode, search, memory. There is no peer.
+"""After a change of `gem view`: how soon it shows a large run: page, filter, sort, scroll, episode, search, memory.
 
 The run is written to a temporary folder and deleted: ``python benchmarks/view.py --episodes 100000 --megabytes 2000``.
 """

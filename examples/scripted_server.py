@@ -10,8 +10,7 @@ Or start it alone, and ask it from elsewhere::
     gem run game:GuessTheNumber-v0 --agent openai:scripted --base-url http://127.0.0.1:8000/v1
 
 The model bisects GuessTheNumber from the hints that it reads in the conversation, calls the first tool that it is
-offered once, and answers anything else with a fixed text. Faults can be asked for: ``--fault 429 --fault-every 5``
-spoils each fifth request, and so does ``?fault=cut`` in the address or a header ``X-Fault: slow`` for one.
+offered once, and answers anything else with a fixed text.
 
 Standard library only. It listens on this machine alone.
 """
@@ -20,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import http.server
-import itertools
 import json
 import os
 import re
@@ -29,10 +27,8 @@ import subprocess
 import sys
 import threading
 import time
-import urllib.parse
 
 MODEL = "scripted"
-FAULTS = ("429", "500", "503", "broken", "cut", "empty", "slow")
 
 
 # The model: a function of the conversation.
@@ -129,20 +125,17 @@ class Handler(http.server.BaseHTTPRequestHandler):
 
     protocol_version = "HTTP/1.1"  # connections stay open
     disable_nagle_algorithm = True
-    fault, fault_every = None, 1
-    counter = itertools.count(1)
 
     def do_GET(self):
         """List the models."""
-        if urllib.parse.urlsplit(self.path).path != "/v1/models":
+        if self.path != "/v1/models":
             return self.refuse(404, "there is /v1/models and /v1/chat/completions")
         return self.send(200, {"object": "list", "data": [{"id": MODEL, "object": "model", "owned_by": "nobody"}]})
 
     def do_POST(self):
-        """Answer a chat, or do what the fault says."""
+        """Answer a chat."""
         body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
-        url = urllib.parse.urlsplit(self.path)
-        if url.path != "/v1/chat/completions":
+        if self.path != "/v1/chat/completions":
             return self.refuse(404, "there is /v1/models and /v1/chat/completions")
         try:
             request = json.loads(body)
@@ -151,49 +144,31 @@ class Handler(http.server.BaseHTTPRequestHandler):
             return self.refuse(400, f"this is no request of the chat API: {type(error).__name__}: {error}")
         if request["model"] != MODEL:
             return self.refuse(404, f"the model {request['model']!r} does not exist; there is {MODEL!r}")
-        fault = self.wanted_fault(url)
-        if fault == "slow":
-            time.sleep(2)
-        if fault is not None and fault.isdigit():
-            return self.refuse(int(fault), "a fault that was asked for", {"Retry-After": "1"} if fault == "429" else {})
-        if fault == "broken":
-            return self.send_bytes(200, b'{"choices": [{"mess', "application/json")
-        if fault == "empty":
-            whole["choices"] = []
-        if request.get("stream") or fault == "cut":
-            return self.send_stream(whole, request, cut=fault == "cut")
+        if request.get("stream"):
+            return self.send_stream(whole, request)
         return self.send(200, whole)
 
-    def wanted_fault(self, url):
-        """Return the fault of the address, of the header, or of the command line, where one is due."""
-        asked = urllib.parse.parse_qs(url.query).get("fault", [self.headers.get("X-Fault")])[0]
-        due = self.fault is not None and next(self.counter) % self.fault_every == 0
-        return asked or (self.fault if due else None)
-
-    def send_stream(self, whole, request, cut):
-        """Send server-sent events; cut off in the middle if that is the fault."""
+    def send_stream(self, whole, request):
+        """Send server-sent events."""
         self.send_response(200)
         self.send_header("Content-Type", "text/event-stream")
         self.send_header("Connection", "close")
         self.end_headers()
         self.close_connection = True
         events = [json.dumps(chunk) for chunk in chunks(whole, bool(request.get("stream_options")))] + ["[DONE]"]
-        for event in events[:2] if cut else events:
+        for event in events:
             self.wfile.write(f"data: {event}\n\n".encode())
 
-    def refuse(self, status, message, headers=None):
+    def refuse(self, status, message):
         """Send an error as OpenAI does."""
-        self.send(status, {"error": {"message": message, "type": "error", "param": None, "code": None}}, headers)
+        self.send(status, {"error": {"message": message, "type": "error", "param": None, "code": None}})
 
-    def send(self, status, content, headers=None):
+    def send(self, status, content):
         """Send JSON."""
-        self.send_bytes(status, json.dumps(content).encode(), "application/json", headers)
-
-    def send_bytes(self, status, body, kind, headers=None):
-        """Send a body."""
+        body = json.dumps(content).encode()
         self.send_response(status)
-        for name, value in {"Content-Type": kind, "Content-Length": str(len(body)), **(headers or {})}.items():
-            self.send_header(name, value)
+        self.send_header("Content-Type", "application/json")
+        self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         self.wfile.write(body)
 
@@ -213,10 +188,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--port", type=int, default=0, help="0 takes a free one")
     parser.add_argument("--run", metavar="COMMAND", help="run this with OPENAI_BASE_URL set, and stop when it ends")
-    parser.add_argument("--fault", choices=FAULTS, help="what goes wrong")
-    parser.add_argument("--fault-every", type=int, default=5, metavar="N", help="with each N-th request")
     options = parser.parse_args()
-    Handler.fault, Handler.fault_every = options.fault, options.fault_every
     server = Server(("127.0.0.1", options.port), Handler)
     address = f"http://127.0.0.1:{server.server_port}/v1"
     if options.run is None:

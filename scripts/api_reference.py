@@ -1,4 +1,4 @@
-"""Write the pages of docs/reference/ that describe packages: one for each package that offers names.
+"""For `make docs-pages`, after a public name changed: write the pages of docs/reference/ that describe packages.
 
     python scripts/api_reference.py
 

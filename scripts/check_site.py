@@ -1,4 +1,4 @@
-"""Check the built documentation: every link and anchor leads somewhere, and nothing is loaded from elsewhere.
+"""For `make docs`: check that all links and anchors of the pages lead somewhere, and nothing loads from elsewhere.
 
     python scripts/check_site.py site
 

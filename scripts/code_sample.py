@@ -1,7 +1,7 @@
-"""Write the data of code:Sample, plugins/gem-code/gem_code/data/sample.jsonl, from ``code_problems``.
+"""For authors of code:Sample, after a change of ``code_problems``: write its data, sample.jsonl of gem-code.
 
-Run it after a change there: ``python scripts/code_sample.py``. A test compares the two. Expected results are what the
-reference programs give.
+``python scripts/code_sample.py`` writes plugins/gem-code/gem_code/data/sample.jsonl. A test compares the two. Expected
+results are what the reference programs give.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Write docs/reference/commands.md: what ``gem --help`` and each command's ``--help`` say.
+"""For `make docs-pages`, after an option changed: write docs/reference/commands.md, what each ``--help`` says.
 
     python scripts/command_reference.py
 

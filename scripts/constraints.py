@@ -1,6 +1,6 @@
-"""Resolve the newest versions of everything that development installs, and write constraints.txt.
+"""For `make constraints`, to renew what development installs: resolve the newest versions, write constraints.txt.
 
-Run it by ``make constraints``, or for several interpreters at once::
+For several interpreters at once::
 
     make constraints PYTHONS="python3.11 python3.12 python3.13"
 

@@ -1,4 +1,4 @@
-"""An extension of griffe, for what mkdocstrings would not understand of our docstrings.
+"""For `make docs`, an extension of griffe: what mkdocstrings would not understand of our docstrings.
 
 Blocks of code, which follow a line that ends with ``::``, become blocks of Markdown. A class that is called with its
 fields, as a NamedTuple or a model of pydantic, has attributes where its docstring says ``Args:``. Formulas become

@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/concepts: one SVG for each page, small enough to be read and changed by hand.
+"""For authors of docs/concepts, after a change of a picture: draw them, one small SVG for each page.
 
     python scripts/drawings.py            # writes docs/images/concepts/*.svg
     python scripts/drawings.py --check    # fails where a file is not what this script makes

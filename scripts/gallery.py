@@ -1,10 +1,10 @@
-"""Write the gallery from the registry, docstrings and measured.json: docs/gallery and docs/images/gallery.
+"""For authors of environments, after a change of an id, a docstring or a reward: write docs/gallery and its images.
 
-    python scripts/gallery.py                       write all pages and pictures
+    python scripts/gallery.py                       write all from the registry, docstrings and measured.json
     python scripts/gallery.py --measure             play everything again first; takes minutes
     python scripts/gallery.py --measure 'game/*'    play some families again
 
-Run it after a change of an id, a docstring or a reward. A test compares what it writes with what is there.
+A test compares what it writes with what is there.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Read docstrings and signatures from source files, so that a page is made without importing what it is about."""
+"""For gallery.py: read docstrings and signatures from source files, without importing what a page is about."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draw an episode as an SVG: the frames follow each other, and the last one stands where nothing moves.
+"""For gallery.py: draw an episode as an SVG whose frames follow each other; the last one stands where nothing moves.
 
 The picture brings its own background, so that it looks the same on a light and on a dark page. It needs no script and
 no font from elsewhere. What several frames have in common is written once.

@@ -1,4 +1,4 @@
-"""Play the environments of the gallery: scores by rollouts, two episodes of each family, and what they look like."""
+"""For gallery.py with ``--measure``: play the environments, for scores, two episodes of each family, and pictures."""
 
 from __future__ import annotations
 

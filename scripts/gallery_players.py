@@ -1,4 +1,4 @@
-"""Players of the gallery, for games that no agent of a plugin plays: each reads nothing but the observation.
+"""For gallery.py with ``--measure``: players of games that no agent of a plugin plays; they read the observation.
 
 They are short and not the best there can be; they show what a good episode looks like.
 """

@@ -1,4 +1,4 @@
-"""The sections of a page of the gallery, as lines of Markdown."""
+"""For gallery.py: the sections of a page, as lines of Markdown."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""Run each plugin's tests in an environment that has only the core, the plugin, what these declare, and pytest.
+"""For `make test-isolated`, before a release: run each plugin's tests with only the core and what it declares.
 
-A dependency that a plugin forgot to declare shows here: in the development environment another plugin may bring it. The
-distributions are installed from wheels, so a file that a wheel lacks shows too. A plugin's tests may need more than
-pytest and hypothesis; its pyproject.toml then lists that in a dependency group ``test``.
+An environment has the core, the plugin, what these declare, and pytest. A dependency that a plugin forgot to declare
+shows here: in the development environment another plugin may bring it. The distributions are installed from wheels, so
+a file that a wheel lacks shows too. A plugin's tests may need more than pytest and hypothesis; its pyproject.toml then
+lists that in a dependency group ``test``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Print ``gem_math/reasoning/tasks.py`` as the installed reasoning-gym has it."""
+"""For maintainers of gem-math, after an upgrade of reasoning-gym: print ``gem_math/reasoning/tasks.py`` anew."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Write the data of math:Sample and math:GeometrySample, plugins/gem-math/gem_math/data, from ``math_problems``.
+"""For authors of math:Sample and math:GeometrySample, after a change of ``math_problems``: write the data.
 
-Run it after a change there: ``python scripts/math_sample.py``. A test compares the two.
+``python scripts/math_sample.py`` writes plugins/gem-math/gem_math/data. A test compares the two.
 
 A family of problems draws its numbers, works the answer out in exact arithmetic, and proves it in another way, as by
 putting it into the equation. Figures are the same wherever Pillow is.

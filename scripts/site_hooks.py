@@ -1,4 +1,4 @@
-"""Hooks of mkdocs: pages from outside docs/, and links that work on GitHub and on the site alike.
+"""For `make docs`, hooks of mkdocs: pages from outside docs/, and links that work on GitHub and on the site alike.
 
 Pages link to each other by their places in the repository. What lies outside docs/ gets a page of the site: the
 plugins' READMEs and the changelog always, other files where a page links to them. Links are rewritten to these pages.

@@ -1,4 +1,4 @@
-"""Play many terminal episodes while processes are killed at random, and look what is left behind.
+"""For `make test-thorough` and changes of gem-terminal: play while processes are killed, and look what is left.
 
 Workers play ``terminal:Sample`` with an agent that leaves things running and kills its own shell. Meanwhile a worker is
 killed with SIGKILL or interrupted as by Ctrl-C, or a container of ours is killed, at times that a seed chooses. In the

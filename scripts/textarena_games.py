@@ -1,7 +1,6 @@
-"""Write ``gem_games/textarena/games.py``: the games of the installed textarena and how many players they take.
+"""For maintainers of gem-games, after an upgrade of textarena: write its list of games, with their players.
 
-Run it by ``.venv/bin/python scripts/textarena_games.py`` after an upgrade of textarena; then see what the tests
-say.
+``.venv/bin/python scripts/textarena_games.py`` writes ``gem_games/textarena/games.py``; then see what the tests say.
 """
 
 from __future__ import annotations

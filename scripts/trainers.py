@@ -1,6 +1,6 @@
-"""Run the files of examples/trainers, each in a virtual environment of its own, and print a table of the results.
+"""For `make trainers`, before a release: run the files of examples/trainers, each in a virtual environment of its own.
 
-    python scripts/trainers.py              # all of them: make trainers
+    python scripts/trainers.py              # all of them, and a table of the results
     python scripts/trainers.py trl_rollout  # some
 
 What a file needs stands at its top, in a block of inline metadata (PEP 723): the framework first, then others. Those of

@@ -1,10 +1,10 @@
-"""Make the word lists of gem-games from SCOWL and WordNet, without words that one would not show to a child.
+"""For maintainers of gem-games, to renew its words: make the lists from SCOWL and WordNet, fit for children.
 
 ``python scripts/word_lists.py --scowl DIR --wordnet DIR --cuss FILE`` writes ``gem_games/data/words/NN.txt``, a file
 for each length of 2 to 20 letters. A file has three blocks with an empty line between them: common nouns, other common
 words, further words. Nothing is downloaded; what was used for the lists as shipped is named in ``SOURCES.md`` there.
 
-How words are chosen:
+Words that one would not show to a child are left out. How words are chosen:
 
 1. *Common* are those of SCOWL's levels 10 and 20 in American and general English, *further* ones those of the levels
    up to 70 in any spelling. Only words of the letters a to z count, so no names and no abbreviations. UKACD, which asks

@@ -15,9 +15,9 @@ ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "examples" / "scripted_server.py"
 
 
-def scripted(tmp_path: Path, *options: str, command: str) -> subprocess.CompletedProcess[str]:
+def scripted(tmp_path: Path, command: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, str(EXAMPLE), *options, "--run", command],
+        [sys.executable, str(EXAMPLE), "--run", command],
         cwd=tmp_path,
         capture_output=True,
         text=True,
@@ -30,18 +30,15 @@ def test_the_one_command_of_the_readme_wins_the_game(tmp_path: Path) -> None:
     pytest.importorskip("gem_games")
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (command,) = re.findall(r'^python examples/scripted_server\.py --run "(.+)"$', readme, re.MULTILINE)
-    done = scripted(tmp_path, command=command)
+    done = scripted(tmp_path, command)
     assert (done.returncode, done.stderr) == (0, "")
     assert "100.0%" in done.stdout
 
 
-@pytest.mark.parametrize("options", [["--fault", "broken"], ["--fault", "cut"], ["--fault", "empty"]])
-@pytest.mark.few(1)
-def test_the_scripted_server_can_fail(tmp_path: Path, options: list[str]) -> None:
-    """And the run gets over it; with streams, too."""
+def test_the_scripted_server_streams(tmp_path: Path) -> None:
+    """In pieces that the agent joins."""
     pytest.importorskip("gem_games")
-    command = "gem run game:GuessTheNumber-v0 -n 2 -s 1 --agent openai:scripted --stream"
-    done = scripted(tmp_path, *options, "--fault-every", "7", command=command)
+    done = scripted(tmp_path, "gem run game:GuessTheNumber-v0 -n 2 -s 1 --agent openai:scripted --stream")
     assert (done.returncode, done.stderr) == (0, "")
     assert "100.0%" in done.stdout
 
