@@ -99,35 +99,6 @@ def test_ppo_clips_as_far_as_asked(kind: Kind, options: dict[str, float], kept: 
 
 
 @each_kind
-def test_ppo_with_one_ratio_a_turn(kind: Kind):
-    """Log-probabilities of a turn's tokens summed: ratio 0.9 * 0.7 = 0.63 of a bad turn is clipped at 0.8."""
-    turns = kind.floats([[math.log(0.9) + math.log(0.7), math.log(1.1)]])
-    loss, _ = ppo_loss(turns, kind.floats([[0, 0]]), kind.floats([[-1, 1]]), kind.bools([[1, 1]]))
-    kind.close(loss, (0.8 - 1.1) / 2)
-
-
-@each_kind
-def test_value_loss(kind: Kind):
-    """Errors 1 and 3, halves of their squares; clipped, 2 may count as no nearer than 0.5 to its target 3."""
-    values, targets = kind.floats([[1, 2, NAN]]), kind.floats([[2, 5, NAN]])
-    mask = kind.bools([[1, 1, 0]])
-    kind.close(value_loss(values, targets, mask), (0.5 + 4.5) / 2)
-    old = kind.floats([[1, 0, NAN]])
-    kind.close(value_loss(values, targets, mask, old_values=old, clip=0.5), (0.5 + 4.5**2 / 2) / 2)
-
-
-@each_kind
-def test_kl_penalty(kind: Kind):
-    """Log-ratios of reference to policy: log 2 and log 0.5."""
-    arguments = kind.floats([[-1, -1, NAN]]), kind.floats([[math.log(2) - 1, math.log(0.5) - 1, 0]])
-    mask = kind.bools([[1, 1, 0]])
-    log2 = math.log(2)
-    kind.close(kl_penalty(*arguments, mask, kind="k1"), [[-log2, log2, 0]])
-    kind.close(kl_penalty(*arguments, mask, kind="k2"), [[log2**2 / 2, log2**2 / 2, 0]])
-    kind.close(kl_penalty(*arguments, mask), [[1 - log2, -0.5 + log2, 0]])
-
-
-@each_kind
 def test_kl_estimators_agree_with_the_divergence(kind: Kind):
     """Weighed by the policy's probabilities 0.5, 0.25, 0.25, k1 and k3 are the divergence from 0.25, 0.25, 0.5."""
     policy, reference = np.array([0.5, 0.25, 0.25]), np.array([0.25, 0.25, 0.5])
@@ -135,6 +106,7 @@ def test_kl_estimators_agree_with_the_divergence(kind: Kind):
     for name in ("k1", "k3"):
         estimate = np.asarray(kl_penalty(*arguments, kind=name))[0] @ policy
         assert estimate == pytest.approx(0.25 * math.log(2), rel=1e-5)
+    kind.close(kl_penalty(*arguments), np.asarray(kl_penalty(*arguments, kind="k3")))
 
 
 @each_kind
@@ -235,38 +207,20 @@ MASK = ONES > 0
 
 
 @pytest.mark.parametrize(
-    ("call", "message"),
+    ("call", "value"),
     [
-        (lambda: ppo_loss(ONES, ONES[:1], ONES, MASK), r"old_logprobs has the shape \(1, 3\); expected \(2, 3\)"),
-        (
-            lambda: ppo_loss(ONES, ONES, ONES, MASK, clip_low=2),
-            "clip_low is 2, clip_high 0.2; expected 0 to 1, and 0 or more",
-        ),
-        (
-            lambda: ppo_loss(ONES, ONES, ONES, MASK, dual_clip=1),
-            "dual_clip is 1; expected a number above 1, or None",
-        ),
-        (
-            lambda: aggregate_tokens(ONES, MASK, aggregate="mean"),  # type: ignore[arg-type]
-            "aggregate is 'mean'; expected 'token', 'sequence' or 'constant'",
-        ),
-        (
-            lambda: aggregate_tokens(ONES, MASK, aggregate="constant"),
-            "length belongs to aggregate='constant', and is needed there; expected the number of tokens",
-        ),
-        (
-            lambda: value_loss(ONES, ONES, MASK, clip=0.2),
-            "clip and old_values belong together; give both or neither",
-        ),
-        (
-            lambda: kl_penalty(ONES, ONES, MASK, kind="k4"),  # type: ignore[arg-type]
-            "kind is 'k4'; expected 'k1', 'k2' or 'k3'",
-        ),
-        (lambda: truncated_importance_weights(ONES, ONES, MASK, cap=0), "cap is 0; expected a number above 0"),
-        (lambda: entropy(ONES, MASK), r"logits has the shape \(2, 3\); expected \(any, any, any\)"),
+        (lambda: ppo_loss(ONES, ONES[:1], ONES, MASK), r"old_logprobs .*\(1, 3\).*\(2, 3\)"),
+        (lambda: ppo_loss(ONES, ONES, ONES, MASK, clip_low=2), "clip_low is 2"),
+        (lambda: ppo_loss(ONES, ONES, ONES, MASK, dual_clip=1), "dual_clip is 1"),
+        (lambda: aggregate_tokens(ONES, MASK, aggregate="mean"), "'mean'"),  # type: ignore[arg-type]
+        (lambda: aggregate_tokens(ONES, MASK, aggregate="constant"), "length"),
+        (lambda: value_loss(ONES, ONES, MASK, clip=0.2), "old_values"),
+        (lambda: kl_penalty(ONES, ONES, MASK, kind="k4"), "'k4'"),  # type: ignore[arg-type]
+        (lambda: truncated_importance_weights(ONES, ONES, MASK, cap=0), "cap is 0"),
+        (lambda: entropy(ONES, MASK), r"logits .*\(2, 3\)"),
     ],
 )
-def test_what_cannot_be_right_is_an_error(call, message: str):
-    """The message says what was given and what was expected."""
-    with pytest.raises(ValueError, match=f"^{message}$"):
+def test_what_cannot_be_right_is_an_error(call, value: str):
+    """The message names the argument and what was given."""
+    with pytest.raises(ValueError, match=value):
         call()
