@@ -145,51 +145,31 @@ def test_text_that_no_tokenizer_takes_is_tokenized_as_replacement() -> None:
 
 
 PICTURE = [{"type": "text", "text": "What is it?"}, {"type": "image", "image": Image.new("RGB", (2, 2))}]
-WHERE = "toy:Q, episode 0.0, turn 1: "
-ADVICE = (
-    "give tokenizer=, one of Hugging Face or a function that returns the ids of a text, or let the agent report them, "
-    "as 'openai:' agents do with return_token_ids=True where the server is vLLM"
-)
+IN_CHAT = [{"role": "user", "content": PICTURE}]
+PLAIN = gem.Response("a")
 
 
 @pytest.mark.parametrize(
-    ("second", "options", "message"),
+    ("second", "options", "value"),
     [
-        (turn(gem.Response("a")), {}, f"{WHERE}the response has no token_ids; {ADVICE}"),
-        (turn(gem.Response("a", token_ids=[1])), {}, f"{WHERE}the response has no prompt_token_ids; {ADVICE}"),
+        (turn(PLAIN), {}, r"toy:Q, episode 0\.0, turn 1: .* no token_ids; .*tokenizer=.*return_token_ids=True"),
+        (turn(gem.Response("a", token_ids=[1])), {}, "turn 1: .* no prompt_token_ids; .*tokenizer="),
+        (turn(gem.Response("a", token_ids=[1, 2], prompt_token_ids=[1], logprobs=[-1.0])), {}, "2 .* 1 logprobs"),
+        (turn(PLAIN, observation=PICTURE), {"tokenizer": Spelling()}, "turn 1: an image .*prompt_token_ids"),
+        (turn(PLAIN, observation=IN_CHAT), {"tokenizer": Spelling()}, "turn 1: an image .*prompt_token_ids"),
         (
-            turn(gem.Response("a", token_ids=[1, 2], prompt_token_ids=[1], logprobs=[-1.0])),
-            {},
-            f"{WHERE}it has 2 token_ids and 1 logprobs",
-        ),
-        (
-            turn(gem.Response("a"), observation=PICTURE),
-            {"tokenizer": Spelling()},
-            f"{WHERE}an image has no token ids of its own; let the agent report prompt_token_ids",
-        ),
-        (
-            turn(gem.Response("a"), observation=[{"role": "user", "content": PICTURE}]),
-            {"tokenizer": Spelling()},
-            f"{WHERE}an image has no token ids of its own; let the agent report prompt_token_ids",
-        ),
-        (
-            turn(gem.Response("a"), observation=[{"role": "user", "content": "Q"}]),
+            turn(PLAIN, observation=[{"role": "user", "content": "Q"}]),
             {"tokenizer": str.split},
-            f"{WHERE}the model was sent messages; give a tokenizer that has apply_chat_template()",
+            "turn 1: .*apply_chat_template",
         ),
-        (
-            turn(gem.Response("a")),
-            {"tokenizer": "qwen"},
-            "a tokenizer has encode() and decode(), or is a function that returns the ids of a text, not 'qwen'",
-        ),
-        (turn(), {"form": "rows"}, "form is 'transitions' or 'trajectories', not 'rows'"),
+        (turn(PLAIN), {"tokenizer": "qwen"}, "'qwen'"),
+        (turn(), {"form": "rows"}, "'transitions' or 'trajectories', not 'rows'"),
     ],
 )
-def test_what_cannot_be_made_is_refused(second: Transition, options: dict[str, Any], message: str) -> None:
+def test_what_cannot_be_made_is_refused(second: Transition, options: dict[str, Any], value: str) -> None:
     """With the turn, and what to do."""
-    with pytest.raises(ArgumentError) as caught:
+    with pytest.raises(ArgumentError, match=value):
         batches([episode(turn(), second)], **options)
-    assert str(caught.value) == message
 
 
 def test_images_whose_prompts_were_reported_are_no_hindrance() -> None:

@@ -220,7 +220,7 @@ def test_gigpo_compares_episodes_and_turns(
         gamma=gamma,
         step_weight=weight,
         scale=scale,  # type: ignore[arg-type]
-        learnable=kind.bools(of_turns(batch, "learnable", False)),
+        learnable=kind.bools(of_turns(batch, "learnable", True)),  # the mask alone says where there is no turn
         correction=correction,
     )
     kind.close(result, padded(expected, 0))

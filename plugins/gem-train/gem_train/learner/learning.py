@@ -13,7 +13,7 @@ from torch import Tensor
 
 from gem_core.env import stable_hash
 from gem_train.estimators import policy_gradient_loss, ppo_loss, role_baselines, truncated_importance_weights
-from gem_train.learner.model import ModelOptions, Policy
+from gem_train.learner.model import Policy
 from gem_train.learner.options import TrainOptions
 from gem_train.learner.policy_loss import Floats, Rows, Scored, score, turn_advantages
 from gem_train.learner.vocabulary import Vocabulary
@@ -32,8 +32,7 @@ class Learner:
         self.options, self.vocabulary = options, vocabulary
         with torch.random.fork_rng():
             torch.manual_seed(stable_hash(options.seed, "weights"))
-            sizes = ModelOptions(options.layers, options.width, options.heads, options.context)
-            self.policy = Policy(vocabulary.texts, sizes)
+            self.policy = Policy(vocabulary.texts, options)
         self.optimizer = torch.optim.AdamW(
             self.policy.parameters(), lr=options.learning_rate, betas=(0.9, 0.95), weight_decay=0.0
         )

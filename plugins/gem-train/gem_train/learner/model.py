@@ -4,35 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from gem_train.learner.options import TrainOptions
 from gem_train.learner.vision import ImageEncoder, Pictures
 from gem_train.learner.vocabulary import ANSWER, PAD
 
 KeysValues = tuple[Tensor, Tensor]
 """Keys and values of a layer: (rows, heads, columns, width of a head)."""
-
-
-@dataclass(frozen=True)
-class ModelOptions:
-    """Sizes of the policy.
-
-    Args:
-        layers: Number of blocks.
-        width: Width of the residual stream.
-        heads: Number of heads of attention.
-        context: The most tokens of a row.
-    """
-
-    layers: int = 2
-    width: int = 64
-    heads: int = 4
-    context: int = 512
 
 
 class Block(nn.Module):
@@ -62,10 +45,10 @@ class Policy(nn.Module):
 
     Args:
         texts: Text of each token, in the order of their ids.
-        options: Sizes.
+        options: Of the run, with the sizes.
     """
 
-    def __init__(self, texts: Sequence[str], options: ModelOptions) -> None:
+    def __init__(self, texts: Sequence[str], options: TrainOptions) -> None:
         super().__init__()
         width = options.width
         self.options = options
