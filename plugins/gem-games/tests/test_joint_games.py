@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import gem_core as gem
 from gem_core.errors import ResetNeededError
+from gem_core.testing import check_env
 from gem_games.joint_game import TRIES
 
 IDS = [env_id for env_id in gem.list_envs("game") if gem.spec(env_id).seats]
@@ -181,3 +182,10 @@ def test_drawing_shows_what_no_seat_must_not_see_only_at_the_end(env_id: str) ->
     assert re.search(r"won|lost|drawn|deal", env.render().splitlines()[-1])
     env.unwrapped.render_mode = None
     assert env.render() is None
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("env_id", IDS)
+def test_contract_is_kept(env_id: str) -> None:
+    report = check_env(env_id)
+    assert {"turns", "leaving", "accounting", "refused-actions", "reasoning"} <= set(report.kept)

@@ -215,9 +215,9 @@ def test_negotiator_reads_a_history_and_is_not_fooled_by_messages() -> None:
     act(env, "\\boxed{propose 0 0 3}")
     now, _ = act(env, "\\boxed{propose 2 0 3}")
     assert agent(f"{before}\n{now}", None) == "\\boxed{accept}"  # type: ignore[arg-type]
-    with pytest.raises(AgentError, match="agent 'negotiator' plays game:Negotiation-v0"):
+    with pytest.raises(AgentError, match="negotiator"):
         agent("Hello.", None)  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match=r"^style must be 'fair' or 'greedy', not 'kind'$"):
+    with pytest.raises(ArgumentError, match="'kind'"):
         load_agent("negotiator:kind")
 
 
@@ -232,5 +232,5 @@ def test_drawing_shows_values_at_the_end() -> None:
 
 @pytest.mark.parametrize("max_turns", [1, 101, 4.0, None])
 def test_turns_are_checked(max_turns: Any) -> None:
-    with pytest.raises(ArgumentError, match=r"^max_turns must be a whole number from 2 to 100, not "):
+    with pytest.raises(ArgumentError, match="max_turns"):
         NegotiationEnv(max_turns)

@@ -102,5 +102,5 @@ def test_random_player_is_the_equilibrium() -> None:
 
 @pytest.mark.parametrize("rounds", [0, 101, 2.0, True, None])
 def test_rounds_are_checked(rounds: Any) -> None:
-    with pytest.raises(ArgumentError, match=r"^rounds must be a whole number from 1 to 100, not "):
+    with pytest.raises(ArgumentError, match="rounds"):
         RockPaperScissorsEnv(rounds)

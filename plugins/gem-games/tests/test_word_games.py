@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import re
-from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -60,34 +59,6 @@ class WordleSolver:
         return box(self.left[0])
 
 
-class HangmanSolver:
-    """Asks for the letter that splits best what is left of the list, until there are turns enough to say every word."""
-
-    def __init__(self, asked: dict[tuple[str, ...], str]) -> None:
-        self.asked = asked
-        """What was asked in each state before, since most games begin alike."""
-
-    def __call__(self, observation: str) -> str:
-        shown = re.findall(r"letters: ([A-Z_ ]+)$", observation, re.MULTILINE)[-1].replace(" ", "")
-        tried = re.findall(r"Tried so far: (.*)\.$", observation, re.MULTILINE)[-1]
-        turns = int(re.findall(r"Turns left: (\d+)", observation)[-1])
-        tries = [] if tried == "nothing" else tried.split(", ")
-        if not tries:
-            self.left = [word.upper() for word in words(len(shown))]
-        form = re.compile(shown.replace("_", f"[^{''.join(each for each in tries if len(each) == 1)}0]"))
-        self.left = [word for word in self.left if form.fullmatch(word) and word not in tries]
-        if len(self.left) <= turns:
-            return box(self.left[0])
-        state = shown, *sorted(tries)
-        if state not in self.asked:
-            self.asked[state] = min((each for each in ALPHABET if each not in tries), key=self.size_of_parts)
-        return box(self.asked[state])
-
-    def size_of_parts(self, letter: str) -> float:
-        parts = Counter(tuple(each == letter for each in word) for word in self.left)
-        return sum(count**1.5 for count in parts.values())
-
-
 def crossword_solver(observation: str) -> str:
     """Look the clues up in the lists they come from, and fill in the first letter that is missing."""
     known = {clue: word for hard in (False, True) for word, clue in clues(hard).of.items()}
@@ -119,12 +90,10 @@ def word_search_solver(observation: str) -> str:
     raise AssertionError(f"{word} is not in the grid")
 
 
-def solver(env_id: str, asked: dict[tuple[str, ...], str] | None = None) -> Callable[[str], str]:
+def solver(env_id: str) -> Callable[[str], str]:
     game = env_id.removeprefix("game:").partition("-")[0]
     if game == "Wordle":
         return WordleSolver()
-    if game == "Hangman":
-        return HangmanSolver({} if asked is None else asked)
     return crossword_solver if game == "Crosswords" else word_search_solver
 
 
@@ -155,28 +124,16 @@ def test_solver_wins_many_games(env_id: str, many: int) -> None:
         assert sum(record[1] for record in records[1:]) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(
-    ("env_id", "least"),
-    [("game:Hangman-v0-easy", 800), ("game:Hangman-v0-hard", 1_000), ("game:Hangman-v0-random", 900)],
-)
-@pytest.mark.few(1)
-def test_hangman_is_won_a_thousand_times(env_id: str, least: int) -> None:
-    """Asking for the letters that a word has, and then saying it, takes few enough turns.
-
-    A solver that knows nothing but the list of words wins all games but some of those with 3 letters: of BAD, HAD, LAD,
-    PAD … it cannot try each within 10 turns.
-    """
+@pytest.mark.parametrize("env_id", [env_id for env_id in IDS if "Hangman" in env_id])
+def test_hangman_can_be_won(env_id: str, many: int) -> None:
+    """Asking for the letters that a word has, and then saying it, takes few enough turns."""
     env: Any = gem.make(env_id)
-    asked: dict[tuple[str, ...], str] = {}
-    wins = 0
-    for seed in range(1_000):
+    for seed in range(many):
         env.reset(seed=seed)
         word = env.unwrapped.word
         results = [env.step(box(answer)) for answer in [*dict.fromkeys(word), word]]
         assert results[-1][4]["correct"]
         assert sum(result[1] for result in results) == pytest.approx(1.0)
-        wins += played(env, seed, solver(env_id, asked))[-1][4]["correct"]
-    assert wins >= least
 
 
 def test_random_sizes() -> None:
