@@ -151,16 +151,15 @@ def test_split_of_several_must_be_chosen(tmp_path: Path) -> None:
             load_rows(source, split="tets")
 
 
-def test_lone_file_is_the_split_train(lines: Path) -> None:
-    """As ``datasets`` has it."""
-    assert len(load_rows(lines, split="train")) == 10
-    with pytest.raises(DatasetError, match=r"no split 'test' in .*'train'"):
-        load_rows(lines, split="test")
-
-
 @pytest.mark.parametrize(
     ("part", "expected"),
-    [("train[:3]", range(3)), ("train[-2:]", range(8, 10)), ("[2:50%]", range(2, 5)), ("train[10%:30%]", range(1, 3))],
+    [
+        ("train", range(10)),
+        ("train[:3]", range(3)),
+        ("train[-2:]", range(8, 10)),
+        ("[2:50%]", range(2, 5)),
+        ("train[10%:30%]", range(1, 3)),
+    ],
 )
 def test_part_of_a_split(lines: Path, part: str, expected: range) -> None:
     """A slice by numbers or per cent, as ``datasets`` writes it."""
@@ -193,8 +192,6 @@ def test_filter_or_map_that_fails_names_the_row(lines: Path) -> None:
     [
         ("a.jsonl", b'{"a": 1}\n{"a": \n', "a.jsonl, line 2 is not JSON"),
         ("a.jsonl", b'{"a": 1}\n[1, 2]\n', "a.jsonl, line 2: a row must be an object"),
-        ("a.jsonl", b"\xff\xfe\x00", "line 1 is not JSON"),
-        ("a.jsonl", b"[" * 100_000, "is not JSON"),
         ("a.json", b'{"a": ' * 100_000 + b"1" + b"}" * 100_000, "line 1 is not JSON"),
         ("a.jsonl", b'{"a": ' + b"1" * 5000 + b"}", "line 1 is not JSON"),
         ("a.jsonl.gz", b"not gzip", "a.jsonl.gz cannot be read"),
@@ -391,3 +388,5 @@ def test_choice_that_would_be_ignored_is_refused(lines: Path) -> None:
             load_rows(lines, **{option: "main"})  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="split "):
         load_rows(ROWS, split="test")
+    with pytest.raises(DatasetError, match="'train'"):
+        load_rows(lines, split="test")

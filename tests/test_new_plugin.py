@@ -14,7 +14,6 @@ import pytest
 from distributions import add_metadata
 
 import gem_core
-from gem_core.cli import main
 from gem_core.cli.new_plugin import KINDS, names_of, render, write
 from gem_core.errors import ArgumentError
 
@@ -37,17 +36,18 @@ def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("kinds", CHOICES, ids=ids)
-@pytest.mark.parametrize("name", ["x", LONGEST])
 @pytest.mark.skipif(shutil.which("ruff", path=str(Path(sys.executable).parent)) is None, reason="ruff is not installed")
-def test_what_is_written_is_formatted_and_clean(kinds: list[str], name: str, tmp_path: Path) -> None:
+def test_what_is_written_is_formatted_and_clean(tmp_path: Path) -> None:
     """By the rules of this repository, whatever the name."""
-    write(tmp_path / "new", render(names_of(name), kinds))
-    (tmp_path / "new" / "pyproject.toml").rename(tmp_path / "kept.toml")  # its settings would stand in for ours
+    for number, kinds in enumerate(CHOICES):
+        for name in "x", LONGEST:
+            folder = tmp_path / f"{name}-{number}"
+            write(folder, render(names_of(name), kinds))
+            (folder / "pyproject.toml").unlink()  # its settings would stand in for ours
     ruff = [str(Path(sys.executable).parent / "ruff")]
     for command in (["format", "--diff"], ["check", "--no-cache"]):
         config = ["--config", str(ROOT / "pyproject.toml")]
-        done = subprocess.run([*ruff, *command, *config, "new"], cwd=tmp_path, capture_output=True, text=True)
+        done = subprocess.run([*ruff, *command, *config, "."], cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -111,20 +111,9 @@ def test_license_may_be_left_out() -> None:
     assert "license" not in without
 
 
-def call(*arguments: str) -> int:
-    """Call the command and return its exit code."""
-    with pytest.raises(SystemExit) as caught:
-        main(["new-plugin", *arguments])
-    return int(caught.value.code or 0)
-
-
-def test_command_prints_three_commands_to_go_on_with(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_prints_three_commands_to_go_on_with(run_gem, tmp_path: Path) -> None:
     """Install, try, test; without an option, an environment."""
-    monkeypatch.chdir(tmp_path)
-    assert call("mine") == 0
-    assert capsys.readouterr().out.splitlines() == [
+    assert run_gem("new-plugin", "mine").out.splitlines() == [
         "Wrote 10 files to gem-mine. Go on with:",
         "  python -m pip install -e './gem-mine[test]'",
         "  gem run mine:Letters-v0 --episodes 5 --seed 1",
@@ -134,15 +123,16 @@ def test_command_prints_three_commands_to_go_on_with(
 
 
 @pytest.mark.parametrize("make", [Path.touch, lambda path: (path.mkdir(), (path / "notes").touch())])
-def test_nothing_is_overwritten(make: Callable[[Path], object], tmp_path: Path) -> None:
+def test_nothing_is_overwritten(make: Callable[[Path], object], run_gem, tmp_path: Path) -> None:
     """Neither a file nor a folder that has anything in it."""
     make(tmp_path / "gem-mine")
     before = sorted(tmp_path.rglob("*"))
-    assert call("mine", "--into", str(tmp_path / "gem-mine")) == 2
+    assert run_gem("new-plugin", "mine", "--into", str(tmp_path / "gem-mine")).code == 2
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_installed_plugin_is_not_begun_again(capsys: pytest.CaptureFixture[str]) -> None:
+def test_installed_plugin_is_not_begun_again(run_gem) -> None:
     """Neither its name nor its namespace can be had twice."""
-    assert call("toy") == 2
-    assert "the namespace 'toy' is in use already" in capsys.readouterr().err
+    refused = run_gem("new-plugin", "toy")
+    assert refused.code == 2
+    assert "'toy'" in refused.err

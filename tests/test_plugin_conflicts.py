@@ -51,9 +51,7 @@ def test_a_conflict_costs_the_name_alone(
     monkeypatch.setattr(registry, "load_plugins", lambda: both)
     name = "toy:same" if kind == "env" else "same"
     conflict = f"{kind} {name!r} is offered by plugin 'a' (gem-a 1) and plugin 'b' (gem-b 1)"
-    assert message(look_up, "same") == (
-        f"RegistrationError: {conflict}; uninstall one of them, or disable it with GEM_PLUGINS_DISABLE"
-    )
+    assert message(look_up, "same").startswith(f"RegistrationError: {conflict}; ")
     assert [plugin.conflicts for plugin in both] == [[conflict], [conflict]]
     assert [conflict in line for line in caplog.messages] == [True]
     known = own_registry.envs() if kind == "env" else own_registry.specs(type(record("x")))

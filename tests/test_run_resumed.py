@@ -147,11 +147,9 @@ def test_a_run_that_fails_says_how_to_go_on_as_well(run_gem: RunGem) -> None:
     )
     failed = run_gem("run", COUNTDOWN, "-n", "4", "-k", "1", "-a", "raising:act", "-o", "a.jsonl")
     assert failed.code == 1
-    assert failed.err.splitlines() == [
-        f"gem: go on with: gem run {COUNTDOWN} --agent raising:act --episodes 4 --num-envs 1 --resume a.jsonl",
-        "gem: ValueError: mine (raising.py:2, in act: if context.episode == '2.0': raise ValueError('mine')). "
-        "Run 'gem --traceback …' for the whole",
-    ]
+    go_on, error = failed.err.splitlines()
+    assert go_on.endswith(f"gem run {COUNTDOWN} --agent raising:act --episodes 4 --num-envs 1 --resume a.jsonl")
+    assert error.startswith("gem: ValueError: mine (raising.py:2, in act: ")
 
 
 def test_every_backend_gives_the_same_episodes(run_gem: RunGem) -> None:

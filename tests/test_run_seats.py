@@ -12,10 +12,8 @@ import pytest
 
 import gem_core as gem
 from gem_core import JointEpisode
-from gem_core.errors import ArgumentError
 from gem_core.records import read_records
 from gem_core.registry.specs import ToolSpec
-from gem_core.rollouts import load_agents
 
 if TYPE_CHECKING:
     from command_calls import RunGem
@@ -79,10 +77,7 @@ def test_one_agent_plays_all_seats(run_gem: RunGem) -> None:
     outcome = run_gem("run", HEAP, "-n", "10", "-s", "1", "-o", "a.jsonl")
     assert (outcome.code, outcome.err) == (0, "")
     lines = outcome.out.splitlines()
-    assert [line.split()[:3] for line in lines[1:3]] == [
-        [HEAP, "first=random", "10"],
-        [HEAP, "second=random", "10"],
-    ]
+    assert [line.split()[1:3] for line in lines[1:3]] == [["first=random", "10"], ["second=random", "10"]]
     assert lines[3].startswith("10 episodes in ")
     assert len(played("a.jsonl")) == 10
 
@@ -102,10 +97,7 @@ def test_agents_without_seats_change_them(run_gem: RunGem) -> None:
     assert (report["episodes"], report["errors"]) == (4, 0)
     rows = {(row["seat"], row["agent"]): row for row in report["environments"]}
     assert len(rows) == 6
-    assert {agent: rows[None, agent]["episodes"] for agent in ("random", "seat_agents:one")} == {
-        "random": 4,
-        "seat_agents:one": 4,
-    }
+    assert [rows[None, agent]["episodes"] for agent in ("random", "seat_agents:one")] == [4, 4]
     assert sum(row["total_return"] for row in rows.values()) == 0
     won = rows["first", "random"]
     assert won["success_rate"] == (won["mean_return"] + 1) / 2
@@ -133,19 +125,15 @@ def test_wrappers_and_tools_of_one_seat(run_gem: RunGem, offer: Callable[..., No
         "second": ["concat", "episode_stats"],
     }
     assert (joint.seats["first"].tools, joint.seats["second"].tools) == (["note"], [])
-    refused = run_gem("run", HEAP, "-w", "secnd=concat")
-    assert refused.err == f"gem: {HEAP} has no seat 'secnd'. Did you mean 'second'? Its seats are first, second\n"
-    refused = run_gem("run", HEAP, "-w", "second=concat", "--max-tool-uses", "3")
-    assert refused.err == "gem: --max-tool-uses is a limit of tools, and there are none; name some by --tools\n"
+    assert "no seat 'secnd'. Did you mean 'second'?" in run_gem("run", HEAP, "-w", "secnd=concat").err
+    assert "--max-tool-uses" in run_gem("run", HEAP, "-w", "second=concat", "--max-tool-uses", "3").err
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            [HEAP, "-a", "frst=random", "-a", "second=random"],
-            f"{HEAP} has no seat 'frst'. Did you mean 'first'? Its seats are first, second",
-        ),
+        ([HEAP, "-a", "randm", "-a", "random", "--temperature", "1"], "Did you mean 'random'"),
+        ([HEAP, "-a", "frst=random", "-a", "second=random"], f"{HEAP} has no seat 'frst'. Did you mean 'first'?"),
         ([HEAP, "-a", "first=random"], "write --agent first=AGENT --agent second=AGENT"),
         ([HEAP, "-a", "first=random", "-a", "first=random"], "write --agent first=AGENT --agent second=AGENT"),
         ([HEAP, "-a", "random", "-a", "random", "-a", "random"], "one agent for all or 2 that change"),
@@ -154,12 +142,9 @@ def test_wrappers_and_tools_of_one_seat(run_gem: RunGem, offer: Callable[..., No
         ([HEAP, ALONE], f"{ALONE} is for one agent"),
         (
             [HEAP, "-a", "first=random", "-a", "second=seat_agents:one", "--temperature", "1"],
-            "none of the agents random, seat_agents:one takes the option temperature",
+            "random, seat_agents:one takes the option temperature",
         ),
-        (
-            [HEAP, "-a", "first=human", "-a", "second=random", "-k", "3"],
-            "the agent 'human' answers one episode at a time; use --num-envs 1, not 3",
-        ),
+        ([HEAP, "-a", "first=human", "-a", "second=random", "-k", "3"], "use --num-envs 1, not 3"),
     ],
 )
 def test_agents_that_do_not_fit_are_refused(run_gem: RunGem, arguments: list[str], message: str) -> None:
@@ -167,14 +152,6 @@ def test_agents_that_do_not_fit_are_refused(run_gem: RunGem, arguments: list[str
     outcome = run_gem("run", *arguments)
     assert (outcome.code, outcome.out, outcome.err.count("\n")) == (2, "", 1)
     assert message in outcome.err
-
-
-def test_unknown_agent_is_named_before_its_options() -> None:
-    """The error is that of ``load_agent``."""
-    with pytest.raises(gem.GemError, match="Did you mean 'random'"):
-        load_agents(["randm", "random"], temperature=1)
-    with pytest.raises(ArgumentError, match="'temperature'"):
-        load_agents(["random", "random"], temperature=1)
 
 
 def test_glob_means_environments_of_one_kind(run_gem: RunGem) -> None:
@@ -216,15 +193,14 @@ def test_resumed_run_has_the_same_agents(run_gem: RunGem) -> None:
 
 def test_a_run_of_several_agents_says_how_to_go_on(run_gem: RunGem) -> None:
     """The command names every agent."""
-    Path("raising.py").write_text(
+    Path("raising_seat.py").write_text(
         "def act(observation, context):\n    if context.episode == '4.0': raise ValueError('mine')\n    return 'a'\n"
     )
-    options = ["-n", "12", "-k", "2", "-a", "first=raising:act", "-a", "second=random", "--swap-seats"]
+    options = ["-n", "12", "-k", "2", "-a", "first=raising_seat:act", "-a", "second=random", "--swap-seats"]
     failed = run_gem("run", HEAP, *options, "-s", "5", "-o", "a.jsonl")
-    assert failed.err.splitlines()[0] == (
-        f"gem: go on with: gem run {HEAP} --agent first=raising:act --agent second=random --swap-seats --episodes 12 "
-        "--num-envs 2 --resume a.jsonl"
-    )
+    agents = "--agent first=raising_seat:act --agent second=random --swap-seats"
+    go_on = failed.err.splitlines()[0]
+    assert go_on.endswith(f": gem run {HEAP} {agents} --episodes 12 --num-envs 2 --resume a.jsonl")
 
 
 def test_progress_tells_the_return_of_each(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -152,8 +152,6 @@ def forgiving_env() -> Wrapper:
 class OneCloseEnv(GoodEnv):
     """Its close cannot be repeated."""
 
-    open = True
-
     def close(self) -> None:
         del self.__dict__["secret"]
 

@@ -177,6 +177,4 @@ def test_unknown_plugin_names_the_installed(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(plugin_check, "entry_points", lambda group: points)
     with pytest.raises(UnknownPluginError) as caught:
         check_plugin("gmes")
-    assert str(caught.value) == (
-        "no plugin 'gmes'. Did you mean 'games'? Installed: games. Install yours first, as with 'pip install -e .'"
-    )
+    assert "'gmes'. Did you mean 'games'? Installed: games." in str(caught.value)

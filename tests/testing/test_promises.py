@@ -14,15 +14,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from broken_envs import (
-    BROKEN,
-    BacktrackingEnv,
-    DyingEnv,
-    NullHangsEnv,
-    OtherProcessEnv,
-    RaisingEnv,
-    UnrepeatableEnv,
-)
+from broken_envs import BROKEN, BacktrackingEnv, DyingEnv, NullHangsEnv, OtherProcessEnv, RaisingEnv, UnrepeatableEnv
 from reference_envs import CountingWrapper, GoodAsyncEnv, GoodEnv, PictureEnv, ReverseStringEnv, ThreadEnv
 
 from gem_core import register
@@ -95,15 +87,8 @@ def test_every_promise_says_what_it_is_and_how_to_mend_it() -> None:
 def test_paper_listing_breaks_what_it_breaks() -> None:
     """The second listing of arXiv:2510.01051 runs; these are the promises that it does not keep."""
     broken = broken_by(ReverseStringEnv)
-    assert set(broken) == {
-        "determinism",
-        "global-random",
-        "episode",
-        "types",
-        "hostile-actions",
-        "valid-sample",
-        "gymnasium",
-    }
+    of_steps = {"episode", "types", "hostile-actions", "valid-sample", "gymnasium"}
+    assert set(broken) == {"determinism", "global-random", *of_steps}
     assert "reset() changed the state of random" in broken["global-random"]
     assert "terminated and truncated, both True" in broken["types"]
     assert "does not provide an `options`" in broken["gymnasium"]
@@ -127,9 +112,7 @@ def test_what_cannot_be_forked_is_skipped() -> None:
 )
 def test_what_goes_wrong_in_another_process_is_named(deed: str, seen: str) -> None:
     """And does not end the check."""
-    with pytest.raises(ContractError) as caught:
-        check_env(OtherProcessEnv(os.getpid(), deed), step_timeout_s=2.0)
-    broken = caught.value.report.broken
+    broken = broken_by(OtherProcessEnv(os.getpid(), deed), step_timeout_s=2.0)
     assert set(broken) == {"process-determinism", "hostile-actions"}
     assert seen in broken["process-determinism"]
 
@@ -176,31 +159,23 @@ def test_nondeterministic_environment_is_not_asked_to_repeat() -> None:
     assert "hostile-actions" in report.kept
 
 
-def test_step_that_hangs_is_named_with_its_action() -> None:
-    """A hang ends that promise and not the check."""
+@pytest.mark.parametrize(
+    ("env", "action", "seen"),
+    [
+        (NullHangsEnv, "x00", "gave no answer within 1 s"),
+        (BacktrackingEnv, "step('<python><python>", "in another process: it gave no answer within 1 s"),
+        (DyingEnv, "x00", "exit code 3"),
+    ],
+)
+def test_step_that_hangs_or_ends_the_process_is_named(env: Any, action: str, seen: str) -> None:
+    """With its action; it ends that promise and not the check, even where it lets no other thread run."""
     try:
-        broken = broken_by(NullHangsEnv, step_timeout_s=2.0)
+        broken = broken_by(env, step_timeout_s=1.0)
     finally:
         NullHangsEnv.released.set()
     assert list(broken) == ["hostile-actions"]
-    assert "x00" in broken["hostile-actions"]
-    assert "gave no answer within 2 s" in broken["hostile-actions"]
-
-
-def test_step_that_lets_no_other_thread_run_is_named() -> None:
-    """A regular expression that never ends would hang the check as well, if it were tried only in this process."""
-    broken = broken_by(BacktrackingEnv, step_timeout_s=1.0)
-    assert list(broken) == ["hostile-actions"]
-    assert broken["hostile-actions"].startswith("step('<python><python>")
-    assert broken["hostile-actions"].endswith("in another process: it gave no answer within 1 s")
-
-
-def test_step_that_ends_the_process_is_named() -> None:
-    """A crash on hostile text is found where it does not take the check along."""
-    broken = broken_by(DyingEnv)
-    assert list(broken) == ["hostile-actions"]
-    assert "exit code 3" in broken["hostile-actions"]
-    assert "x00" in broken["hostile-actions"]
+    assert action in broken["hostile-actions"]
+    assert seen in broken["hostile-actions"]
 
 
 def test_given_instance_is_left_alone() -> None:
@@ -233,7 +208,7 @@ def test_skipped_promise_keeps_its_reason() -> None:
 
 
 def test_unknown_promise_cannot_be_skipped() -> None:
-    with pytest.raises(ArgumentError, match=r"no promise 'determinsm'\. Did you mean 'determinism'"):
+    with pytest.raises(ArgumentError, match="'determinism'"):
         check_env(GoodEnv, skip={"determinsm": "typo"})
 
 
@@ -244,7 +219,7 @@ def test_unknown_id_stays_what_it_is() -> None:
 
 
 def test_foreign_environment_is_refused() -> None:
-    with pytest.raises(ArgumentError, match=r"does not derive from gem_core\.Env"):
+    with pytest.raises(ArgumentError, match=r"gem_core\.Env"):
         check_env(lambda: gymnasium.make("CartPole-v1"))
 
 
