@@ -247,6 +247,7 @@ RAISED: dict[str, Callable[[], BaseException]] = {
     "interrupt": KeyboardInterrupt,
     "quit": lambda: SystemExit(3),
     "cancel": asyncio.CancelledError,
+    "leave": GeneratorExit,
 }
 DONE: dict[str, Callable[[], object]] = {
     "hang": lambda: HUNG.wait(120),

@@ -113,9 +113,9 @@ class EnvRunner:
         try:
             result = await coroutine
             return result if check is None else check(result)
-        except GeneratorExit:
-            raise  # this coroutine is collected
         except BaseException as error:
+            if isinstance(error, GeneratorExit) and error.__traceback__ and error.__traceback__.tb_next is None:
+                raise  # nothing inside raised it: this coroutine is closed from outside
             task = asyncio.current_task()
             if isinstance(error, asyncio.CancelledError) and task is not None and task.cancelling():
                 raise  # by the engine, not by the environment
