@@ -20,7 +20,6 @@ from gem_core.background import (
     run_without_loop,
     side_by_side,
 )
-from gem_core.errors import BridgeError
 
 
 async def where() -> asyncio.AbstractEventLoop:
@@ -51,16 +50,6 @@ def test_run_sync_passes_the_error_on() -> None:
     """The error of a coroutine is raised where it is waited for."""
     with pytest.raises(ValueError, match=r"^inside$"):
         run_sync(fail())
-
-
-def test_run_sync_on_the_library_loop_is_refused() -> None:
-    """Waiting for the loop on the loop would never end, and is an error that says what to do."""
-
-    async def main() -> None:
-        run_sync(where())
-
-    with pytest.raises(BridgeError, match="step_async"):
-        run_sync(main())
 
 
 def test_run_without_loop_does_in_place_what_coroutines_would_wait_for() -> None:

@@ -7,8 +7,6 @@ import textwrap
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from joint_toys import AuctionEnv, CountdownEnv
 
 import gem_core as gem
@@ -69,25 +67,6 @@ def test_reward_is_given_when_the_agent_acts_again() -> None:
     assert env.step({"b": "5"})[1] == {"c": -1.0}
     assert env.cumulative == {"a": -4.0, "b": 5.0, "c": -1.0}
     assert env.step({"c": "2"})[1] == {"a": -4.0}
-
-
-@given(st.lists(st.integers(0, 9), min_size=1, max_size=30), st.sampled_from(["sequential", "parallel"]))
-def test_given_rewards_add_up(bids: list[int], mode: Any) -> None:
-    """The sum of what ``step`` gave an agent is its ``cumulative`` at the end, whoever left before."""
-    env = AuctionEnv(["a", "b", "c"], mode=mode, rounds=len(bids))
-    observations, _ = env.reset(seed=0)
-    given: dict[str, float] = dict.fromkeys(env.agents, 0.0)
-    for bid in bids:
-        if not env.agents:
-            break
-        observations, rewards, *_ = env.step({agent: str(bid) for agent in observations})
-        for agent, reward in rewards.items():
-            given[agent] += reward
-    while env.agents:
-        observations, rewards, *_ = env.step(dict.fromkeys(observations, "quit"))
-        for agent, reward in rewards.items():
-            given[agent] += reward
-    assert given == env.cumulative
 
 
 def test_agent_that_leaves_is_told_at_once() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import threading
-from collections import Counter
 from typing import Any
 
 import gymnasium
@@ -371,18 +370,6 @@ def test_every_episode_of_the_plan_comes_out_once(backend: str, num_envs: int, a
     asked = [(str(place), repeat) for place, item in enumerate(plan) for repeat in range(item.repeat)]
     assert [(episode.key, episode.repeat) for episode in episodes] == asked
     assert [episode.turns for episode in episodes] == [lengths[int(key)] for key, _ in asked]
-
-
-@pytest.mark.parametrize("num_envs", [1, 2, 3, 8])
-def test_each_environment_gets_the_number_of_episodes_asked_for(num_envs: int) -> None:
-    """Where one ends at once and the other takes long."""
-
-    def agent(observation: str, context: Context) -> str:
-        return "stop" if context.env_id == ECHO and context.turn == 40 else "a"
-
-    vector = gem.make_vec([COUNTDOWN, ECHO], num_envs, seed=0)
-    counts = Counter(episode.id for episode in gem.rollout(vector, agent, episodes=5))
-    assert counts == {COUNTDOWN: 5, ECHO: 5}
 
 
 # Backpressure.

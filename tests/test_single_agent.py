@@ -85,12 +85,6 @@ def test_contract_is_kept() -> None:
     check_env(single_agent("joint:Heap-v1", "second"))
 
 
-@pytest.mark.thorough
-def test_contract_is_kept_with_asynchronous_agents() -> None:
-    """Also where all act at once, in an environment that was made before."""
-    check_env(single_agent(AuctionEnv(["a", "b", "c"], "parallel", 9), "b", scripted_async))
-
-
 def test_it_is_registered_as_any_environment() -> None:
     """By the entry point and the id of the game; wrappers go around it, and its arguments can be changed."""
     gem.register("joint:Heap-v2", CountdownEnv, seats=("first", "second"))

@@ -17,7 +17,6 @@ from vector_envs import ASYNC, INLINE, KINDS, PROCESS, THREAD, Turns
 import gem_core as gem
 from gem_core.records.plans import PlanItem
 from gem_core.registry.lookup import registry
-from gem_core.vector.actions import VectorStep
 
 BACKENDS = ["async", ("process", {"workers": 2}), "auto"]
 TEXTS = ["", "stop", "a!", r"\boxed{3}", "é\ud800\x00", "42", "[A B C D]"]
@@ -196,39 +195,6 @@ def test_send_and_recv_give_the_same_episodes(planned: bool) -> None:
             results.append(received(vector))
     assert len(results[0]) == sum(item.repeat for item in plan)
     assert all(result == results[0] for result in results)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("who", ["agent", "agents"])
-def test_rollouts_give_the_same_episodes(who: str) -> None:
-    """With every registered environment, of one agent or of several, by key."""
-    ids = [env_id for env_id in registered() if bool(gem.spec(env_id).seats) == (who == "agents")]
-    plan = [PlanItem(id=env_id) for env_id in ids]
-
-    def agent(observation: Any, context: Any) -> str:
-        try:
-            return str(context.sample_random_action()) if context.turn < 6 else TEXTS[context.turn % len(TEXTS)]
-        except gem.errors.SamplingNotSupported:
-            return "stop"
-
-    results = []
-    for backend in ["sync", *BACKENDS]:
-        with gem.make_vec(ids[:3], 4, backend=backend, seed=9, wrappers=[("turn_limit", {"max_turns": 8})]) as vector:
-            came: list[Any] = list(gem.rollout(vector, **{who: agent}, plan=plan))
-        results.append({episode.key: episode for episode in came})
-        assert len(came) == len(results[-1]) == len(plan)
-    assert all(result == results[0] for result in results)
-
-
-def test_results_have_the_same_types_everywhere() -> None:
-    """Arrays of float64 and bool, and lists."""
-    for backend in ["sync", *BACKENDS]:
-        with gem.make_vec(list(KINDS), 4, backend=backend, seed=9, length=3) as vector:
-            vector.reset()
-            step = vector.step(["a"] * 4)
-            assert type(step) is VectorStep
-            assert [type(part) for part in (step.observations, step.infos)] == [list, list]
-            assert [part.dtype.name for part in step[1:4]] == ["float64", "bool", "bool"]  # type: ignore[union-attr]
 
 
 def test_arguments_that_come_with_an_id_are_there_when_its_backend_is_chosen() -> None:

@@ -20,7 +20,6 @@ from vector_envs import ASYNC, INLINE, KINDS, PROCESS, THREAD
 
 import gem_core as gem
 from gem_core.background import background_loop
-from gem_core.errors import EnvFaultError
 from gem_core.records.plans import PlanItem
 from gem_core.rollouts.agent import Context
 from gem_core.vector.slot import FaultBudget
@@ -132,73 +131,6 @@ class Round:
 
         yield from asyncio.run(collected())
 
-    def send_and_recv(self) -> Iterator[gem.Episode]:
-        """Episodes put together by hand from what ``recv`` and ``step`` give."""
-        vector = self.vector
-        observations, infos = vector.reset()
-        current: dict[int, gem.Episode] = {}
-        told: dict[int, str] = {}
-        for slot, (observation, info) in enumerate(zip(observations, infos, strict=True)):
-            yield from self.begun(slot, observation, info, current)
-        while current or vector.under_way:
-            idle = [slot for slot in current if slot not in told]
-            chosen = [slot for slot in idle if self.random.random() < 0.7]
-            for slot in chosen:
-                told[slot] = self.action(current[slot].id, lambda slot=slot: self.sampled(slot))  # type: ignore[misc]
-            if chosen and self.random.random() < 0.3:
-                step = vector.step({slot: told[slot] for slot in chosen})
-                received: Any = (chosen, *step)
-            else:
-                if chosen:
-                    vector.send({slot: told[slot] for slot in chosen})
-                if not vector.under_way:
-                    continue
-                received = vector.recv(self.random.choice([0, 1, 2]), timeout=self.random.choice([None, 0.01]))
-            for slot, observation, reward, terminated, truncated, info in zip(*received, strict=True):
-                episode = current[slot]
-                last = bool(terminated or truncated)
-                turn = gem.Transition(
-                    episode.final_observation,
-                    gem.Response.of(told.pop(slot)),
-                    float(reward),
-                    bool(terminated),
-                    bool(truncated),
-                    info["final_info"] if last else info,
-                )
-                episode.transitions.append(turn)
-                episode.final_observation = info["final_obs"] if last else observation
-                if last:
-                    del current[slot]
-                    yield episode
-                    yield from self.begun(slot, observation, info, current)
-
-    def sampled(self, slot: int) -> str:
-        try:
-            return self.vector.sample_random_action(slot)
-        except EnvFaultError:
-            return "go"
-
-    def begun(
-        self, slot: int, observation: Any, info: dict[str, Any], current: dict[int, gem.Episode]
-    ) -> Iterator[gem.Episode]:
-        for failed in info.get("failed_resets", ()):
-            entry = {name: failed[name] for name in ("id", "kwargs", "options", "seed", "key", "repeat")}
-            yield gem.Episode(observation="", info={"error": failed["error"]}, final_observation="", **entry)
-        draw = self.vector.start_of(slot)
-        if draw is None:
-            assert info["idle"]
-            return
-        current[slot] = gem.Episode(
-            id=draw.item.id or "",
-            seed=draw.seed,
-            observation=observation,
-            info=info,
-            final_observation=observation,
-            options=draw.item.options,
-            key=draw.key,
-            repeat=draw.repeat,
-        )
-
     # The saboteur and the checker.
 
     def sabotage(self) -> None:
@@ -275,7 +207,7 @@ def is_gone(pid: int) -> bool:
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("driver", ["rollout", "rollout_async", "arollout", "send_and_recv"])
+@pytest.mark.parametrize("driver", ["rollout", "rollout_async", "arollout"])
 @pytest.mark.parametrize("home", HOMES)
 def test_every_episode_is_accounted_for_exactly_once(home: str, driver: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each is right to the letter, or marked with an error; and nothing is left behind."""

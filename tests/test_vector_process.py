@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ import vector_envs
 from vector_envs import IMAGES, INLINE, PROCESS, THREAD
 
 import gem_core as gem
-from gem_core.records.plans import PlanItem
 from gem_core.vector import NoRoomError, VectorEnv, VectorSetup, Worker, WorkerLoop, WorkerPool
 
 TESTS = str(Path(__file__).parent)
@@ -181,44 +179,7 @@ def test_worker_killed_in_the_middle_of_a_step_truncates_that_step() -> None:
     vector.close()
 
 
-def test_a_batch_of_deaths_loses_nothing() -> None:
-    """Workers that are killed over and over while a rollout goes on."""
-    vector = gem.make_vec(INLINE, 6, backend=("process", {"workers": 2}), seed=3, length=3)
-    alone = gem.make_vec(INLINE, 6, backend="sync", seed=3, length=3)
-    expected = {episode.key: episode for episode in gem.rollout(alone, lambda observation: "go", episodes=24)}
-    came: dict[str, gem.Episode] = {}
-    for episode in gem.rollout(vector, lambda observation: "go", episodes=24):
-        came[episode.key] = episode
-        if len(came) % 6 == 3:
-            os.kill(workers()[0], signal.SIGKILL)
-    assert came.keys() == expected.keys()
-    assert [came[key] for key in came if came[key].error is None and came[key] != expected[key]] == []
-    assert {episode.error["kind"] for episode in came.values() if episode.error} <= {"died", "collateral"}
-    vector.close()
-
-
 # What they leave behind.
-
-
-@pytest.mark.thorough
-def test_nothing_is_left_after_close() -> None:
-    """No process, no thread and no open file."""
-    with gem.make_vec(INLINE, 2, backend="process", seed=1) as warm:
-        warm.reset()
-    gc.collect()
-    files = len(os.listdir("/proc/self/fd"))
-    for _ in range(2):
-        vector = gem.make_vec(INLINE, 4, backend=("process", {"workers": 2}), seed=1, length=3)
-        vector.reset()
-        vector.step(["!exit", "a", "a", "a"])
-        os.kill(workers()[0], signal.SIGKILL)
-        vector.step(["a"] * 4)
-        pids = workers()
-        vector.close()
-        assert [pid for pid in pids if is_alive(pid)] == []
-    del vector
-    gc.collect()
-    assert eventually(lambda: gc.collect() is not None and len(os.listdir("/proc/self/fd")) <= files)
 
 
 @pytest.mark.few(1)
@@ -240,18 +201,6 @@ def test_processes_that_an_environment_left_behind_end_with_its_worker(how: str)
         del vector
         gc.collect()
     assert eventually(lambda: not is_alive(pid) and not is_alive(children[0]))
-
-
-def test_environments_are_closed_when_their_vector_environment_is_dropped(tmp_path: Path) -> None:
-    """It can be collected, and its workers end by themselves."""
-    vector = gem.make_vec([INLINE, THREAD], 2, backend="process", seed=1, length=3)
-    vector.reset()
-    vector.step(["a", "b"])
-    pids, seen = workers(), weakref.ref(vector)
-    del vector
-    gc.collect()
-    assert seen() is None
-    assert eventually(lambda: not any(map(is_alive, pids)))
 
 
 # What they move.
@@ -475,13 +424,3 @@ def test_fork_of_a_program_leaves_its_workers_alone() -> None:
     )
     out, errors = process.communicate(timeout=LONGEST_S)
     assert out.splitlines()[1:] == ["[False, False] 0"], errors
-
-
-@pytest.mark.thorough
-def test_plan_is_covered_when_workers_take_turns_to_die() -> None:
-    """Each item comes out exactly once, whether it failed or not."""
-    plan = [PlanItem(options={"fault": "exit"} if key % 5 == 2 else None) for key in range(20)]
-    vector = gem.make_vec(INLINE, 3, backend=("process", {"workers": 1}), seed=1, length=1)
-    keys = [(int(one.key), one.error is None) for one in gem.rollout(vector, lambda observation: "a", plan=plan)]
-    assert sorted(keys) == [(key, key % 5 != 2) for key in range(20)]
-    vector.close()
