@@ -27,11 +27,6 @@ async def where() -> asyncio.AbstractEventLoop:
     return asyncio.get_running_loop()
 
 
-async def fail() -> None:
-    """Fail."""
-    raise ValueError("inside")
-
-
 def test_run_sync_runs_on_the_library_loop() -> None:
     """A coroutine that plain code waits for runs on the library's loop."""
     assert run_sync(where()) is background_loop()
@@ -44,12 +39,6 @@ def test_run_sync_works_inside_another_loop() -> None:
         return run_sync(where())
 
     assert asyncio.run(main()) is background_loop()
-
-
-def test_run_sync_passes_the_error_on() -> None:
-    """The error of a coroutine is raised where it is waited for."""
-    with pytest.raises(ValueError, match=r"^inside$"):
-        run_sync(fail())
 
 
 def test_run_without_loop_does_in_place_what_coroutines_would_wait_for() -> None:

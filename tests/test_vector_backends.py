@@ -114,7 +114,7 @@ def test_wrapped_environments_give_the_same() -> None:
     assert_same_everywhere(["toy:Countdown-v0", "toy:Sums-v0", *KINDS], 8, 10, wrappers=wrappers)
 
 
-@settings(max_examples=6)
+@settings(max_examples=3)
 @given(st.data())
 def test_a_step_is_the_same_whatever_the_order_of_completion(data: st.DataObject) -> None:
     """All four kinds in one batch, with a plan and unequal lengths; the steps finish in an order that is drawn."""
@@ -140,16 +140,14 @@ def test_a_step_is_the_same_whatever_the_order_of_completion(data: st.DataObject
                 vector_envs.TURNS.clear()
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_resets_that_fail_draw_in_the_same_order(backend: Any) -> None:
+def test_resets_that_fail_draw_in_the_same_order() -> None:
     """Which slot gets which item does not depend on where a reset failed."""
     plan = [PlanItem(options={"fault": "raise"} if key in (1, 4, 5, 6) else None) for key in range(14)]
-    expected: Any = None
-    for home in ("sync", backend):
+    kept = []
+    for home in ("sync", "async", "auto"):
         with gem.make_vec([THREAD, PROCESS, ASYNC], 3, backend=home, seed=4, plan=plan) as vector:
-            kept = [plain(vector.reset()), *(plain(vector.step([f"a{turn}"] * 3)) for turn in range(16))]
-        expected = expected or kept
-        assert kept == expected
+            kept.append([plain(vector.reset()), *(plain(vector.step([f"a{turn}"] * 3)) for turn in range(16))])
+    assert kept[0] == kept[1] == kept[2]
 
 
 def received(vector: gem.VectorEnv) -> dict[tuple[str, int], list[Any]]:
@@ -184,14 +182,12 @@ def received(vector: gem.VectorEnv) -> dict[tuple[str, int], list[Any]]:
     return episodes
 
 
-@pytest.mark.parametrize("planned", [True, False])
-def test_send_and_recv_give_the_same_episodes(planned: bool) -> None:
+def test_send_and_recv_give_the_same_episodes() -> None:
     """By key, since slots draw as they come."""
-    plan = [PlanItem(repeat=1 + key % 3) for key in range(12 if planned else 40)]
+    plan = [PlanItem(repeat=1 + key % 3) for key in range(20)]
     results = []
     for number, backend in enumerate(["sync", *BACKENDS]):
-        slots = 5 if planned else 3 + number
-        with gem.make_vec(INLINE, slots, backend=backend, seed=9, plan=plan) as vector:
+        with gem.make_vec(INLINE, 3 + number, backend=backend, seed=9, plan=plan) as vector:
             results.append(received(vector))
     assert len(results[0]) == sum(item.repeat for item in plan)
     assert all(result == results[0] for result in results)
