@@ -3,7 +3,6 @@ r"""Game2048: slide and merge tiles until one of them reaches a target."""
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from itertools import pairwise
 
 from gem_core.errors import ArgumentError
@@ -156,10 +155,6 @@ def slide(board: list[Line], direction: str) -> list[Line]:
     return list(zip(*columns, strict=True))
 
 
-# The same few thousand lines turn up again and again.
-
-
-@lru_cache(maxsize=1 << 16)
 def _to_left(line: Line) -> Line:
     """Slide a line to its beginning."""
     merged: list[int] = []
@@ -173,20 +168,17 @@ def _to_left(line: Line) -> Line:
     return (*merged, *[0] * (len(line) - len(merged)))
 
 
-@lru_cache(maxsize=1 << 16)
 def _to_right(line: Line) -> Line:
     """Slide a line to its end."""
     return _to_left(line[::-1])[::-1]
 
 
-@lru_cache(maxsize=1 << 16)
 def _with_tile(line: Line, free: int, tile: int) -> Line:
     """Put a tile into a free cell of a line, counted from 0."""
     cells = [place for place, old in enumerate(line) if not old]
     return (*line[: cells[free]], tile, *line[cells[free] + 1 :])
 
 
-@lru_cache(maxsize=1 << 16)
 def _shown(line: Line) -> str:
     """Return a row as text."""
     return " ".join(f"{tile or '.':>4}" for tile in line) + "\n"
