@@ -14,7 +14,7 @@ from gem_core.testing import promises, promises_agents  # noqa: F401 - they fill
 from gem_core.testing.contract import PROMISES, ContractError, Promise, Report
 from gem_core.testing.findings import NotTriedError
 from gem_core.testing.isolation import TookTooLongError, preserved
-from gem_core.testing.subject import Limits, Subject
+from gem_core.testing.subject import CheckLimits, Subject
 
 __all__ = ["check_env", "promises_for"]
 
@@ -61,7 +61,7 @@ def check_env(
             raise ArgumentError(f"no promise {slug!r}.{did_you_mean(slug, PROMISES)} There are: {', '.join(PROMISES)}")
     if episodes < 1 or max_turns < 1:
         raise ArgumentError(f"episodes and max_turns must be at least 1, not {episodes} and {max_turns}")
-    subject = Subject(env_or_id, Limits(seed, episodes, max_turns, step_timeout_s, reset_timeout_s))
+    subject = Subject(env_or_id, CheckLimits(seed, episodes, max_turns, step_timeout_s, reset_timeout_s))
     _make_once(subject)
     kept: list[str] = []
     skipped: dict[str, str] = {}

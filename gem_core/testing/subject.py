@@ -58,7 +58,7 @@ class Script:
 
 
 @dataclass(frozen=True)
-class Limits:
+class CheckLimits:
     """How much is tried, and how long a call may take; see ``check_env``."""
 
     seed: int = 0
@@ -71,7 +71,7 @@ class Limits:
 class Subject:
     """The environment under check, as the promises use it."""
 
-    def __init__(self, target: object, limits: Limits, watch: Watch | None = None) -> None:
+    def __init__(self, target: object, limits: CheckLimits, watch: Watch | None = None) -> None:
         self.limits = limits
         self.watch = watch or Watch()
         self.notes: list[str] = []

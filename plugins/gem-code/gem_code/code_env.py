@@ -10,7 +10,7 @@ from gem_code.comparing import COMPARISONS, Comparison
 from gem_code.fences import last_program
 from gem_code.function_form import grade_assertions, grade_calls
 from gem_code.program_form import Grading, grade_program
-from gem_code.runner import ProgramLimits, Runner, SandboxError
+from gem_code.runner import NoVerdictError, ProgramLimits, Runner
 from gem_code.sandbox import SandboxRunner
 from gem_code.verdicts import CaseResult, Verdict
 from gem_core.background import run_sync
@@ -123,7 +123,7 @@ class CodeEnv(DatasetEnv):
         try:
             grade = await self.grade_async(action, row)
         except GradingError as error:
-            kind = "sandbox" if isinstance(error, SandboxError) else "grading"
+            kind = "sandbox" if isinstance(error, NoVerdictError) else "grading"
             where = "" if kind == "sandbox" else f"row {index} ({info['task_id']!r}): "
             info["error"] = {"kind": kind, "message": f"{where}{error}"}
             return TERMINAL_STATE, 0.0, False, True, info
@@ -138,7 +138,7 @@ class CodeEnv(DatasetEnv):
         """Return the verdict on a response.
 
         Raises:
-            SandboxError: The sandbox failed.
+            NoVerdictError: The sandbox failed.
             GradingError: The tests of the row are malformed.
         """
         tests, indices = longest(self.tests(row), self.max_tests)

@@ -21,7 +21,7 @@ from gem_core.errors import GradingError
 if TYPE_CHECKING:
     from gem_code.cases import AssertionTests, CallTests
     from gem_code.program_form import Grading
-    from gem_code.runner import Run, Runner
+    from gem_code.runner import ProgramRun, Runner
 
 _TIMES = 3
 """How many times the limit of the program's calls a run with tests may take, for what the tests compute themselves."""
@@ -33,7 +33,7 @@ async def grade_calls(code: str, tests: CallTests, runner: Runner, grading: Grad
     """Return what became of a function that is called with given arguments.
 
     Raises:
-        SandboxError: There is no verdict.
+        NoVerdictError: There is no verdict.
         GradingError: An argument cannot be passed to a program.
     """
     try:
@@ -65,7 +65,7 @@ async def grade_assertions(code: str, tests: AssertionTests, runner: Runner, gra
     """Return what became of a program in tests that call its functions.
 
     Raises:
-        SandboxError: There is no verdict.
+        NoVerdictError: There is no verdict.
         GradingError: The tests themselves are at fault; the message says how.
     """
     run, units, problem = await _tested(code, tests, runner, grading)
@@ -90,7 +90,7 @@ async def grade_assertions(code: str, tests: AssertionTests, runner: Runner, gra
 
 async def _tested(
     code: str, tests: AssertionTests, runner: Runner, grading: Grading
-) -> tuple[Run, list[dict[str, Any]] | None, str | None]:
+) -> tuple[ProgramRun, list[dict[str, Any]] | None, str | None]:
     """Run a program and its tests; return what became of each test, and what seems to be wrong with the tests.
 
     There are no tests, but None, where the run came to no end.
@@ -117,7 +117,7 @@ async def _tested(
         return run, None, None
 
 
-def _load_report(line: str, run: Run) -> tuple[Status | None, str | None]:
+def _load_report(line: str, run: ProgramRun) -> tuple[Status | None, str | None]:
     """Return why the program could not be loaded, or None, and its error."""
     try:
         report = json.loads(line)

@@ -42,7 +42,7 @@ async def grade_program(code: str, tests: StdinTests, runner: Runner, grading: G
     """Return what became of a program in its tests.
 
     Raises:
-        SandboxError: There is no verdict.
+        NoVerdictError: There is no verdict.
     """
     levels: set[str] = set()
 

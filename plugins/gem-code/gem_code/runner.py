@@ -8,7 +8,7 @@ from typing import Protocol
 from gem_core.errors import GradingError
 
 
-class SandboxError(GradingError):
+class NoVerdictError(GradingError):
     """The sandbox failed, and would have with any program: there is no verdict."""
 
 
@@ -30,7 +30,7 @@ class ProgramLimits:
 
 
 @dataclass(frozen=True)
-class Run:
+class ProgramRun:
     """What became of a program.
 
     Args:
@@ -57,10 +57,10 @@ class Run:
 class Runner(Protocol):
     """Runs programs, any number at once; each as ``__main__``, out of reach of the others and of this process."""
 
-    async def run(self, program: str, stdin: str, limits: ProgramLimits) -> Run:
+    async def run(self, program: str, stdin: str, limits: ProgramLimits) -> ProgramRun:
         """Run a program to its end, or to the first limit that it meets.
 
         Raises:
-            SandboxError: It could not be run, whatever the program is.
+            NoVerdictError: It could not be run, whatever the program is.
         """
         ...

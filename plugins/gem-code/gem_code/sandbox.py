@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from gem_code.runner import ProgramLimits, Run, SandboxError
+from gem_code.runner import NoVerdictError, ProgramLimits, ProgramRun
 from gem_core.errors import ArgumentError, GemError
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ class SandboxRunner:
 
         return shared_pool(sandbox=self.sandbox)
 
-    async def run(self, program: str, stdin: str, limits: ProgramLimits) -> Run:
+    async def run(self, program: str, stdin: str, limits: ProgramLimits) -> ProgramRun:
         """See ``Runner``."""
         from gem_tools.python import Limits
 
@@ -45,7 +45,7 @@ class SandboxRunner:
         except ArgumentError:
             raise
         except GemError as error:
-            raise SandboxError(f"the sandbox failed: {error}") from error
+            raise NoVerdictError(f"the sandbox failed: {error}") from error
         # The sandbox keeps the head and the tail of a long output, which is no output to compare.
         status = "output" if outcome.dropped[0] and outcome.status == "ok" else outcome.status
-        return Run(status, outcome.exit_code, outcome.stdout, outcome.error, outcome.sandbox)
+        return ProgramRun(status, outcome.exit_code, outcome.stdout, outcome.error, outcome.sandbox)

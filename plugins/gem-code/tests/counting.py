@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from gem_code.sandbox import SandboxRunner
 
 if TYPE_CHECKING:
-    from gem_code.runner import ProgramLimits, Run
+    from gem_code.runner import ProgramLimits, ProgramRun
 
 
 class CountingRunner(SandboxRunner):
@@ -15,7 +15,7 @@ class CountingRunner(SandboxRunner):
 
     runs = 0
 
-    async def run(self, program: str, stdin: str, limits: ProgramLimits) -> Run:
+    async def run(self, program: str, stdin: str, limits: ProgramLimits) -> ProgramRun:
         """Run one."""
         self.runs += 1
         return await super().run(program, stdin, limits)

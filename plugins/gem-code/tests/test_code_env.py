@@ -12,7 +12,7 @@ from counting import CountingRunner
 
 import gem_core as gem
 from gem_code import CodeEnv
-from gem_code.runner import ProgramLimits, Run, SandboxError
+from gem_code.runner import NoVerdictError, ProgramLimits, ProgramRun
 from gem_core.background import run_sync
 from gem_core.errors import ArgumentError, BridgeError, DatasetError, MissingRequirementError
 from gem_core.tools import Tool
@@ -153,8 +153,8 @@ def test_a_sandbox_that_fails_is_an_error() -> None:
     """And never a reward of 0."""
 
     class Broken:
-        async def run(self, program: str, stdin: str, limits: ProgramLimits) -> Run:
-            raise SandboxError("the sandbox failed: no space left")
+        async def run(self, program: str, stdin: str, limits: ProgramLimits) -> ProgramRun:
+            raise NoVerdictError("the sandbox failed: no space left")
 
     env = CodeEnv(ROWS)
     env.runner = Broken()

@@ -9,7 +9,7 @@ import pytest
 
 from gem_code.cases import StdinTests
 from gem_code.program_form import Grading, grade_program, in_parallel
-from gem_code.runner import ProgramLimits, Run, SandboxError
+from gem_code.runner import NoVerdictError, ProgramLimits, ProgramRun
 from gem_code.verdicts import CaseResult, shortened
 
 if TYPE_CHECKING:
@@ -21,13 +21,13 @@ DOUBLE = {"inputs": ["1\n", "2\n", "21\n"], "outputs": ["2\n", "4\n", "42\n"]}
 class Scripted:
     """A runner that knows what becomes of each input, and can hold back some of them."""
 
-    def __init__(self, outcomes: dict[str, Run], held: frozenset[str] = frozenset()) -> None:
+    def __init__(self, outcomes: dict[str, ProgramRun], held: frozenset[str] = frozenset()) -> None:
         self.outcomes, self.held = outcomes, held
         self.begun: list[str] = []
         self.cancelled: list[str] = []
         self.at_once = self.most_at_once = 0
 
-    async def run(self, program: str, stdin: str, limits: ProgramLimits) -> Run:
+    async def run(self, program: str, stdin: str, limits: ProgramLimits) -> ProgramRun:
         """Return the outcome, or wait for ever."""
         self.begun.append(stdin)
         self.at_once += 1
@@ -145,7 +145,7 @@ def test_what_was_printed_and_given_is_shown_and_what_was_expected_is_not(judge:
 
 def test_the_rest_is_not_run_after_a_failure() -> None:
     """Once a test has failed, nothing that comes later is begun; what is under way there is given up."""
-    runner = Scripted({"a": Run("ok", 0, "1"), "b": Run("ok", 0, "wrong")}, held=frozenset("cde"))
+    runner = Scripted({"a": ProgramRun("ok", 0, "1"), "b": ProgramRun("ok", 0, "wrong")}, held=frozenset("cde"))
     tests = StdinTests(tuple("abcde"), ("1",) * 5)
     verdict = asyncio.run(grade_program("", tests, runner, Grading(parallel=3)))
     assert [test.status for test in verdict.tests] == ["passed", "wrong_answer", "not_run", "not_run", "not_run"]
@@ -168,7 +168,7 @@ def test_the_first_failure_does_not_depend_on_which_test_is_fastest() -> None:
 
 def test_every_test_is_run_for_the_fraction() -> None:
     """Some at a time, never more than asked for."""
-    outcomes = {name: Run("ok", 0, "1" if name in "bd" else "0") for name in "abcdefgh"}
+    outcomes = {name: ProgramRun("ok", 0, "1" if name in "bd" else "0") for name in "abcdefgh"}
     runner = Scripted(outcomes)
     tests = StdinTests(tuple("abcdefgh"), ("1",) * 8)
     verdict = asyncio.run(grade_program("", tests, runner, Grading(parallel=3, every=True)))
@@ -180,18 +180,18 @@ def test_every_test_is_run_for_the_fraction() -> None:
 @pytest.mark.parametrize(
     ("run", "status"),
     [
-        (Run("timeout"), "timeout"),
-        (Run("cpu"), "timeout"),
-        (Run("memory"), "memory"),
-        (Run("output"), "output_limit"),
-        (Run("killed", None, "1"), "runtime_error"),
-        (Run("exit", 1, "1"), "runtime_error"),
-        (Run("exit", 0, "1"), "passed"),
-        (Run("error", 1, "1", "ValueError: x"), "runtime_error"),
-        (Run("error", 1, "1", "TabError: x"), "compile_error"),
+        (ProgramRun("timeout"), "timeout"),
+        (ProgramRun("cpu"), "timeout"),
+        (ProgramRun("memory"), "memory"),
+        (ProgramRun("output"), "output_limit"),
+        (ProgramRun("killed", None, "1"), "runtime_error"),
+        (ProgramRun("exit", 1, "1"), "runtime_error"),
+        (ProgramRun("exit", 0, "1"), "passed"),
+        (ProgramRun("error", 1, "1", "ValueError: x"), "runtime_error"),
+        (ProgramRun("error", 1, "1", "TabError: x"), "compile_error"),
     ],
 )
-def test_what_the_sandbox_says_becomes_a_status(run: Run, status: str) -> None:
+def test_what_the_sandbox_says_becomes_a_status(run: ProgramRun, status: str) -> None:
     """A right output does not help a program that was ended."""
     verdict = asyncio.run(grade_program("", StdinTests(("a",), ("1",)), Scripted({"a": run}), Grading()))
     assert verdict.status == status
@@ -201,13 +201,13 @@ def test_a_sandbox_that_fails_is_no_verdict() -> None:
     """And what is under way is given up."""
 
     class Failing(Scripted):
-        async def run(self, program: str, stdin: str, limits: ProgramLimits) -> Run:
+        async def run(self, program: str, stdin: str, limits: ProgramLimits) -> ProgramRun:
             if stdin == "b":
-                raise SandboxError("it is gone")
+                raise NoVerdictError("it is gone")
             return await super().run(program, stdin, limits)
 
     runner = Failing({}, held=frozenset("ac"))
-    with pytest.raises(SandboxError, match="it is gone"):
+    with pytest.raises(NoVerdictError, match="it is gone"):
         asyncio.run(grade_program("", StdinTests(tuple("abc"), ("1",) * 3), runner, Grading()))
     assert runner.at_once == 0
 

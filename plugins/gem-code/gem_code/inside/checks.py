@@ -50,7 +50,7 @@ def run_tests() -> None:
     leave_streams()
     # The program may write modules into its folder; the tests import none of them.
     sys.path[:] = [place for place in sys.path if place not in ("", os.getcwd())]
-    program = Program(ours, pid, work)
+    program = TestedProgram(ours, pid, work)
     units = Units(program)
     try:
         problem = _run(work, program, units)
@@ -87,7 +87,7 @@ def be_program(channel: socket.socket) -> None:
     os._exit(0)
 
 
-class Program:
+class TestedProgram:
     """The program, as its tests see it.
 
     Args:
@@ -192,10 +192,10 @@ class Remote:
     Data never compares equal to it, whatever the object itself says: one that claims to equal everything gains nothing.
     """
 
-    _program: Program
+    _program: TestedProgram
     _target: Target
 
-    def __init__(self, program: Program, target: Target) -> None:
+    def __init__(self, program: TestedProgram, target: Target) -> None:
         vars(self).update(_program=program, _target=target)
 
     def __getattr__(self, name: str) -> Any:
@@ -247,7 +247,7 @@ for _name in OPERATIONS:
 class Units:
     """The tests, and what became of each; the code of the tests reports here."""
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: TestedProgram) -> None:
         self._program = program
         self._results: dict[int, dict[str, Any]] = {}
         self._reported = False
@@ -311,7 +311,7 @@ class _Unit:
         return True
 
 
-def _run(work: dict[str, Any], program: Program, units: Units) -> str | None:
+def _run(work: dict[str, Any], program: TestedProgram, units: Units) -> str | None:
     """Run the tests; return what is wrong with them, or None."""
     random.seed(0)  # noqa: TID251 - the process is theirs alone, and a verdict is to be the same in each run
     tree = ast.parse(work["test"], _FILENAME)

@@ -15,7 +15,7 @@ from gem_eval.auditing.leaks import RowView, find_leaks
 from gem_eval.auditing.policies import GUESSES, plain_call
 from gem_eval.auditing.results import CHANCE_MARGIN, KINDS, EnvAudit, Problem, Rate, lower_bound
 from gem_eval.auditing.rows import Asked, check_contamination, check_rows, questions_of, rows_of
-from gem_eval.auditing.stage import Played, Respond, Row, Stage, says
+from gem_eval.auditing.stage import AuditEpisode, AuditTask, Respond, Stage, says
 from gem_eval.auditing.texts import holds, normal
 
 _UNKNOWN_CHANCE = 0.1
@@ -106,7 +106,7 @@ class Audit:
         """The first gold action of each row."""
         self._targets: dict[str, float] = {}
         """What the gold actions of a row are paid, where they succeed."""
-        self.repeated: list[Played] = []
+        self.repeated: list[AuditEpisode] = []
         """Episodes that are played again, to see whether they come out the same."""
         self._failed: dict[str, list[str]] = {"crash": [], "error": []}
         self._played = 0
@@ -143,16 +143,16 @@ class Audit:
         """Return the rate of a policy."""
         return self.found.rates.setdefault(policy, Rate(KINDS[policy]))
 
-    def solves(self, played: Played) -> bool:
+    def solves(self, played: AuditEpisode) -> bool:
         """Tell whether an episode succeeded, as far as that is known of its row."""
         return not played.error and not played.crash and played.solved(self._targets.get(played.row.name))
 
-    def names_gold(self, played: Played) -> bool:
+    def names_gold(self, played: AuditEpisode) -> bool:
         """Tell whether a response names the gold answer of its row."""
         gold = self.golds.get(played.row.name)
         return gold is not None and holds(normal(played.response), normal(content_of(gold)))
 
-    def count(self, rate: Rate, played: Played, *, solved: bool) -> bool:
+    def count(self, rate: Rate, played: AuditEpisode, *, solved: bool) -> bool:
         """Count an episode, and return whether it succeeded."""
         self._played += 1
         if played.crash or played.error:
@@ -165,7 +165,7 @@ class Audit:
         return solved
 
     def problem(
-        self, kind: str, share: float, message: str, examples: Sequence[Played | str] = (), *, fails: bool = True
+        self, kind: str, share: float, message: str, examples: Sequence[AuditEpisode | str] = (), *, fails: bool = True
     ) -> None:
         """Add a problem; see ``Problem``."""
         told = tuple(each if isinstance(each, str) else f"{each.row.name}: {each.shown}" for each in examples[:3])
@@ -230,7 +230,7 @@ class Audit:
     def _random(self, observation: str, info: Mapping[str, Any], turn: int) -> str | None:
         return self.stage.sample()
 
-    def _in_another_form(self, row: Row, gold: str, failed: Played) -> Played:
+    def _in_another_form(self, row: AuditTask, gold: str, failed: AuditEpisode) -> AuditEpisode:
         """Try the gold answer in other forms, for a task that reads answers in one of its own."""
         for form in (RAW, TAGGED, BOXED):
             response = form.around(content_of(gold))
@@ -289,7 +289,7 @@ class Audit:
         text_forms = [form for form in self.forms if not form.is_code and not form.is_shell]
         constants = [form.around(guess) for guess in GUESSES for form in text_forms]
         for response in [*([self.example] if self.example else []), *constants]:
-            solved: list[Played] = []
+            solved: list[AuditEpisode] = []
             for row in self.stage.rows:
                 played = self.stage.play(row, says(response), most_turns=MOST_REPEATS)
                 self.count(Rate("chance"), played, solved=False)
@@ -311,7 +311,7 @@ class Audit:
                 self._note_later_turns(played, f"the tool {name!r}")
         self.done("tools")
 
-    def _note_later_turns(self, played: Played, source: str) -> None:
+    def _note_later_turns(self, played: AuditEpisode, source: str) -> None:
         """Add what an episode showed before its end, if it cannot be what the agent said.
 
         Args:
@@ -325,7 +325,7 @@ class Audit:
             view.later.setdefault(source, []).extend(turn.observation for turn in before_end)
             view.infos += [turn.info for turn in before_end]
 
-    def _gold_of_others(self) -> list[tuple[Row, str]]:
+    def _gold_of_others(self) -> list[tuple[AuditTask, str]]:
         """Return each row with the gold answer of the next row that has a different one."""
         known = [row for row in self.stage.rows if row.name in self.golds]
         plain = {row.name: normal(content_of(self.golds[row.name])) for row in known}
@@ -335,7 +335,7 @@ class Audit:
             pairs += [(row, self.golds[other.name]) for other in different][:1]
         return pairs
 
-    def _each(self, policy: str, plays: Iterable[tuple[Row, Respond]]) -> list[Played]:
+    def _each(self, policy: str, plays: Iterable[tuple[AuditTask, Respond]]) -> list[AuditEpisode]:
         episodes = [self.stage.play(row, respond) for row, respond in plays]
         for played in episodes:
             self.count(self.rate(policy), played, solved=self.solves(played))
@@ -343,7 +343,7 @@ class Audit:
         return episodes
 
     def _beyond_chance(
-        self, policy: str, played: Sequence[Played], chance: float, what: str, *, fails: bool = True
+        self, policy: str, played: Sequence[AuditEpisode], chance: float, what: str, *, fails: bool = True
     ) -> None:
         judged = [each for each in played if not each.error and not each.crash]
         solved = [each for each in judged if self.solves(each)]

@@ -24,7 +24,7 @@ Respond = Callable[[str, Mapping[str, Any], int], str | None]
 """Called with the observation as text, its info and the number of turns taken; None breaks the episode off."""
 
 
-class Row(NamedTuple):
+class AuditTask(NamedTuple):
     """One task: a row of a data set, or one seed of a game."""
 
     name: str
@@ -34,7 +34,7 @@ class Row(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Turn:
+class AuditTurn:
     """A response, and what the environment answered."""
 
     response: str
@@ -45,13 +45,13 @@ class Turn:
 
 
 @dataclass
-class Played:
+class AuditEpisode:
     """An episode, as far as it was played."""
 
-    row: Row
+    row: AuditTask
     observation: str = ""
     info: Mapping[str, Any] = field(default_factory=dict)
-    turns: list[Turn] = field(default_factory=list)
+    turns: list[AuditTurn] = field(default_factory=list)
     crash: str = ""
     """The exception that a reset or a step raised; empty for none."""
 
@@ -128,13 +128,15 @@ class Stage:
         self.env_again: Any = None
         self.count: int | None = self.env.get_wrapper_attr("num_tasks")
         if self.count is None:
-            self.rows = [Row(f"{env_id}/{each}", each, {}) for each in range(seed, seed + limit)]
+            self.rows = [AuditTask(f"{env_id}/{each}", each, {}) for each in range(seed, seed + limit)]
         else:
             every = np.random.default_rng(seed).permutation(self.count) if self.count > limit else np.arange(self.count)
             chosen = sorted(every[:limit].tolist())
-            self.rows = [Row(f"{env_id}/{index}", seed + index, {"index": index}) for index in chosen]
+            self.rows = [AuditTask(f"{env_id}/{index}", seed + index, {"index": index}) for index in chosen]
 
-    def play(self, row: Row, respond: Respond, *, most_turns: int = MOST_TURNS, again: bool = False) -> Played:
+    def play(
+        self, row: AuditTask, respond: Respond, *, most_turns: int = MOST_TURNS, again: bool = False
+    ) -> AuditEpisode:
         """Play an episode.
 
         Args:
@@ -146,7 +148,7 @@ class Stage:
         if again and self.env_again is None:
             self.env_again = gem_core.make(self.env_id, **self.kwargs)
         env = self.env_again if again else self.env
-        played = Played(row)
+        played = AuditEpisode(row)
         options = {"options": dict(row.options)} if row.options else {}
         with redirect_stdout(io.StringIO()):  # a grader may run what prints
             try:
@@ -158,7 +160,7 @@ class Stage:
                         break
                     observation, reward, terminated, truncated, info = env.step(response)
                     shown, over = observation_text(observation), bool(terminated or truncated)
-                    played.turns.append(Turn(response, shown, float(reward), info, over))
+                    played.turns.append(AuditTurn(response, shown, float(reward), info, over))
                     if over:
                         break
             except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code may raise anything
@@ -176,7 +178,7 @@ class Stage:
             return str(self.env.get_wrapper_attr("sample_random_action")())
         return None
 
-    def replay(self, played: Played) -> Played:
+    def replay(self, played: AuditEpisode) -> AuditEpisode:
         """Play the same responses again, in another instance."""
         responses = [turn.response for turn in played.turns]
         return self.play(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from gem_core.errors import ArgumentError
 from gem_core.records import Range, shared_range
 from gem_eval.comparing.cautions import cautions_of
-from gem_eval.comparing.sides import Given, Played, Side, Task, sides_of
+from gem_eval.comparing.sides import Given, RowEpisodes, Side, Task, sides_of
 from gem_eval.grouping import grouped
 from gem_eval.scores import Metric, tells_success
 from gem_eval.statistics import (
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 LEVEL = 0.05
 """A p-value below it is called significant."""
 
-Pairs = Mapping[Task, tuple[Played, Played]]
+Pairs = Mapping[Task, tuple[RowEpisodes, RowEpisodes]]
 
 
 @dataclass(frozen=True)
@@ -281,7 +281,7 @@ def _refuse(a: Side, b: Side, metric: Metric, told: set[str] | None) -> None:
     )
 
 
-def _pairs(a: Mapping[Task, Played], b: Mapping[Task, Played]) -> dict[Task, tuple[Played, Played]]:
+def _pairs(a: Mapping[Task, RowEpisodes], b: Mapping[Task, RowEpisodes]) -> dict[Task, tuple[RowEpisodes, RowEpisodes]]:
     """Return the rows that both have a value for."""
     return {task: (one, b[task]) for task, one in a.items() if one.values and task in b and b[task].values}
 
@@ -341,7 +341,7 @@ def _range_of(pairs: Pairs, *, known: bool) -> Range | None:
     return shared_range(declared, min(values), max(values))
 
 
-def _solved_by_one(one: Played, other: Played) -> bool:
+def _solved_by_one(one: RowEpisodes, other: RowEpisodes) -> bool:
     return max(one.values) == 1 and max(other.values) == 0
 
 

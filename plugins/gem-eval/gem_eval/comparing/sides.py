@@ -51,16 +51,16 @@ class Side:
             value = row.success if metric == "success" else row.episode_return
         return None if value is None or not math.isfinite(value) else float(value)
 
-    def by_task(self, metric: Metric, counts: Callable[[Row], bool] = lambda row: True) -> dict[Task, Played]:
+    def by_task(self, metric: Metric, counts: Callable[[Row], bool] = lambda row: True) -> dict[Task, RowEpisodes]:
         """Return the episodes of each task that the run has, with their values.
 
         Args:
             metric: What a value is.
             counts: Whether an episode counts at all.
         """
-        found: dict[Task, Played] = {}
+        found: dict[Task, RowEpisodes] = {}
         for row in filter(counts, self.rows):
-            played = found.setdefault((row.id, row.row), Played())
+            played = found.setdefault((row.id, row.row), RowEpisodes())
             if (value := self.value(row, metric)) is not None:
                 played.rows.append(row)
                 played.values.append(value)
@@ -70,7 +70,7 @@ class Side:
 
 
 @dataclass
-class Played:
+class RowEpisodes:
     """The episodes of one row.
 
     Args:

@@ -12,7 +12,7 @@ from gem_core.cli import counted
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import whole_file
 from gem_eval.exporting.episodes import write_jsonl
-from gem_eval.exporting.inspect_log import Part, write_eval, write_json
+from gem_eval.exporting.inspect_log import LogPart, write_eval, write_json
 from gem_eval.exporting.tables import write_csv, write_parquet
 from gem_eval.grouping import grouped
 from gem_eval.opening import warn_of_damage
@@ -102,6 +102,6 @@ def _write_logs(runs: Sequence[Run], out: Path) -> int:
     return len(parts)
 
 
-def _parts(run: Run) -> list[Part]:
+def _parts(run: Run) -> list[LogPart]:
     rows = grouped(run.rows, lambda row: (row.id, row.model))
-    return [Part(run, task, model, own, compute_scores(own)) for (task, model), own in rows.items()]
+    return [LogPart(run, task, model, own, compute_scores(own)) for (task, model), own in rows.items()]

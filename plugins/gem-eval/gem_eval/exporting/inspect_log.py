@@ -44,7 +44,7 @@ _SUMMARY = (
 _LONGEST_INPUT = 5000
 
 
-class Part(NamedTuple):
+class LogPart(NamedTuple):
     """The episodes of one task and one model of a run.
 
     Args:
@@ -62,7 +62,7 @@ class Part(NamedTuple):
     scores: list[Score]
 
 
-def write_json(part: Part, file: BinaryIO) -> None:
+def write_json(part: LogPart, file: BinaryIO) -> None:
     """Write a log as one JSON object."""
     header = _header(part)
     start = _json(header).removesuffix(b"}")
@@ -72,7 +72,7 @@ def write_json(part: Part, file: BinaryIO) -> None:
     file.write(b"\n]}\n")
 
 
-def write_eval(part: Part, file: BinaryIO) -> None:
+def write_eval(part: LogPart, file: BinaryIO) -> None:
     """Write a log as a zip, a file for each sample."""
     header = _header(part)
     summaries = []
@@ -85,13 +85,13 @@ def write_eval(part: Part, file: BinaryIO) -> None:
         archive.writestr("header.json", _json(header))
 
 
-def _samples(part: Part) -> Iterator[tuple[str, dict[str, Any]]]:
+def _samples(part: LogPart) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the name of each sample's file, and the sample; a damaged episode is left out."""
     for _, sample in part.run.intact(part.rows, lambda row: _sample(part, row, part.run.episode(row))):
         yield f"samples/{sample['id']}_epoch_{sample['epoch']}.json", sample
 
 
-def _header(part: Part) -> dict[str, Any]:
+def _header(part: LogPart) -> dict[str, Any]:
     """Return all of a log but its samples."""
     info, rows = part.run.info, part.rows
     samples = sorted({row.row for row in rows})
@@ -132,7 +132,7 @@ def _score(score: Score, rows: Sequence[Row]) -> dict[str, Any]:
     return {**told, "scored_samples": score.episodes, "unscored_samples": len(rows) - score.episodes}
 
 
-def _sample(part: Part, row: Row, episode: Episode) -> dict[str, Any]:
+def _sample(part: LogPart, row: Row, episode: Episode) -> dict[str, Any]:
     messages = messages_of(episode, _image_reader(part.run))
     first_answer = next((place for place, each in enumerate(messages) if each["role"] == "assistant"), len(messages))
     asked = messages[:first_answer]
@@ -172,7 +172,7 @@ def _sample(part: Part, row: Row, episode: Episode) -> dict[str, Any]:
     return sample
 
 
-def _scores_of_sample(part: Part, row: Row, episode: Episode) -> dict[str, Any]:
+def _scores_of_sample(part: LogPart, row: Row, episode: Episode) -> dict[str, Any]:
     """Return the scores of an episode; none after an error, and none of success where the task never tells."""
     if row.error is not None:
         return {}
@@ -224,7 +224,7 @@ def _detail(episode: Episode, group: str, name: str) -> int | None:
     return sum(known) if (known := [count for count in counts if type(count) is int]) else None
 
 
-def _usage_of_rows(part: Part) -> dict[str, Any]:
+def _usage_of_rows(part: LogPart) -> dict[str, Any]:
     read, written = (sum(getattr(row, name) or 0 for row in part.rows) for name in ("tokens_in", "tokens_out"))
     costs = [row.cost for row in part.rows if row.cost is not None]
     told = {"input_tokens": read, "output_tokens": written, "total_tokens": read + written}

@@ -8,7 +8,7 @@ from typing import Any
 
 from gem_eval.show.text import escaped
 from gem_eval.text_search import found_in
-from gem_eval.viewing.table import Place, row_data
+from gem_eval.viewing.table import TableRow, row_data
 
 MOST_FOUND = 1000
 """The search stops with so many."""
@@ -17,7 +17,7 @@ _PROGRESS_S = 0.15
 _BEFORE, _AFTER = 20, 140
 
 
-def search(places: Sequence[Place], text: str) -> Iterator[dict[str, Any]]:
+def search(places: Sequence[TableRow], text: str) -> Iterator[dict[str, Any]]:
     """Yield how far a search is, and what it found since: the rows of episodes with the text, each with an excerpt.
 
     Args:
@@ -40,7 +40,7 @@ def search(places: Sequence[Place], text: str) -> Iterator[dict[str, Any]]:
     yield {"done": len(places), "of": len(places), "found": found, "full": False}
 
 
-def _excerpt(place: Place, text: str) -> str | None:
+def _excerpt(place: TableRow, text: str) -> str | None:
     """Return the text with what stands around it; None where an episode does not hold it, or is damaged."""
     piece = found_in(place.run.run, place.row, text)
     if piece is None:

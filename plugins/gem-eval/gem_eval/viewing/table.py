@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gem_eval.viewing.library import ViewedRun
 
 
-class Place(NamedTuple):
+class TableRow(NamedTuple):
     """A row of the table: an episode of a run."""
 
     run: ViewedRun
@@ -114,14 +114,14 @@ class Query:
             sought = self.text.casefold()
             yield lambda row: sought in _searched(row).casefold()
 
-    def places(self, runs: Sequence[ViewedRun]) -> list[Place]:
+    def places(self, runs: Sequence[ViewedRun]) -> list[TableRow]:
         """Return the table; what has no value in the column of the order comes last."""
         found, tests = [], list(self.tests())
         for viewed in runs:
             rows = viewed.rows
             for test in tests:
                 rows = list(filter(test, rows))
-            found += [Place(viewed, row) for row in rows]
+            found += [TableRow(viewed, row) for row in rows]
         if self.sort == "run":
             return sorted(found, key=lambda place: place.run.name, reverse=self.reverse)
         if self.sort not in _ORDERS:
@@ -151,7 +151,7 @@ Versions = tuple[tuple["ViewedRun", int], ...]
 
 # A page asks piece by piece as it scrolls: of 100,000 rows, each answer would take 0.7 s.
 @lru_cache(maxsize=6)
-def answer(query: Query, versions: Versions) -> tuple[list[Place], dict[str, Any]]:
+def answer(query: Query, versions: Versions) -> tuple[list[TableRow], dict[str, Any]]:
     """Return the table of a query, and how its episodes came out, all together."""
     places = query.places([viewed for viewed, _ in versions])
     rows = [place.row for place in places]
@@ -195,7 +195,7 @@ def choices(versions: Versions) -> dict[str, Any]:
     }
 
 
-def row_data(place: Place) -> dict[str, Any]:
+def row_data(place: TableRow) -> dict[str, Any]:
     """Return a row of the table as plain JSON, its texts escaped."""
     row = place.row
     record: dict[str, Any] = to_plain(

@@ -14,7 +14,7 @@ import docker.errors
 from gem_terminal.backends.docker import files as moving
 from gem_terminal.backends.docker import running
 from gem_terminal.backends.docker.engine import FAILURES, Client, Engine, is_full
-from gem_terminal.backends.docker.running import DockerTerminal, Program, follow
+from gem_terminal.backends.docker.running import ContainerProgram, DockerTerminal, follow
 from gem_terminal.backends.docker.starting import KEEPER
 from gem_terminal.backends.docker.sweeping import Thing, remove
 from gem_terminal.backends.interface import Completed, Process
@@ -242,7 +242,7 @@ class DockerMachine:
                 raise lost from error
             raise
 
-    def _start(self, client: Client, command: Sequence[str], **how: Any) -> Program:
+    def _start(self, client: Client, command: Sequence[str], **how: Any) -> ContainerProgram:
         """Start a program.
 
         Raises:
@@ -258,7 +258,7 @@ class DockerMachine:
             else:
                 self._ask(["true"])
         try:
-            return Program(client, self.id, command, before=before, **how)
+            return ContainerProgram(client, self.id, command, before=before, **how)
         except MachineLostError as lost:
             self.end(lost)
             raise

@@ -35,7 +35,7 @@ _IF_THERE = 'command -v "$1" >/dev/null || { printf "%s\\n" "$1: not found"; exi
 _FIRST = re.compile(rb"gem-terminal:(\d{1,10})\r?\n")
 
 
-class Program:
+class ContainerProgram:
     """A program in a container, and the connection to it. For one reader and one writer at a time.
 
     Args:
@@ -213,7 +213,7 @@ class DockerTerminal:
     """
 
     def __init__(
-        self, program: Program, lost: Callable[[], MachineLostError | None], hang_up: Callable[[int], object]
+        self, program: ContainerProgram, lost: Callable[[], MachineLostError | None], hang_up: Callable[[int], object]
     ) -> None:
         self._program, self._lost, self._hang_up = program, lost, hang_up
         self.pid = program.pid or 0
@@ -244,7 +244,7 @@ class DockerTerminal:
         return self._lost() or MachineLostError("the program in the terminal has ended", by_agent=True)
 
 
-def follow(program: Program, output: KeptOutput, timeout_s: float) -> int | None:
+def follow(program: ContainerProgram, output: KeptOutput, timeout_s: float) -> int | None:
     """Collect output until the command itself has ended; return its exit code, None when time runs out before."""
     deadline = time.monotonic() + timeout_s
     pause, is_open = _LOOK_S, True

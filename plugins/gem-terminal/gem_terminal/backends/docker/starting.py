@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import docker.errors
 
-from gem_terminal.backends.docker.running import Program, follow
+from gem_terminal.backends.docker.running import ContainerProgram, follow
 from gem_terminal.backends.docker.sweeping import LIFE_S, Thing, labels
 from gem_terminal.backends.interface import Completed
 from gem_terminal.errors import MachineLostError, TaskError
@@ -107,7 +107,7 @@ def start(
 def _tried(client: Client, name: str, what: str, check: Healthcheck) -> Completed:
     """Run a healthcheck once in a container that has to run for it."""
     output = KeptOutput(2000)
-    with contextlib.closing(Program(client, name, check.command)) as program:
+    with contextlib.closing(ContainerProgram(client, name, check.command)) as program:
         code = follow(program, output, check.timeout_s)
     state = {"Running": True} if code == 0 else client.inspect_container(name)["State"]
     if not state.get("Running"):

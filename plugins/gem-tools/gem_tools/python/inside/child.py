@@ -30,7 +30,7 @@ _INPUT_NAMES = ("/dev/stdin", "/dev/fd/")
 
 
 @dataclass
-class Place:
+class ForkContext:
     """What a forked process finds.
 
     Args:
@@ -52,7 +52,7 @@ class Place:
     session: dict[str, Any] | None
 
 
-def run(place: Place) -> NoReturn:
+def run(place: ForkContext) -> NoReturn:
     """Be the forked process, whose streams and socket are in their places already."""
     code = 1
     try:
@@ -66,7 +66,7 @@ def run(place: Place) -> NoReturn:
 
 
 class _Child:
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: ForkContext) -> None:
         self.place, self.settings = place, place.settings
         self.input_left = 0
 

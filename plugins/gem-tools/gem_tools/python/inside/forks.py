@@ -149,7 +149,9 @@ class Forks:
                 kernel.unshare(kernel.NEWPID)
             process.pid = kernel.fork()
             if process.pid == 0:
-                child.run(child.Place(self.settings, self.proc, self.filter, self.space_bytes, uid, folder, session))
+                child.run(
+                    child.ForkContext(self.settings, self.proc, self.filter, self.space_bytes, uid, folder, session)
+                )
         except OSError:
             process.close()
             raise

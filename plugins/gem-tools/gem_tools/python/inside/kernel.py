@@ -94,7 +94,7 @@ class _Program(ctypes.Structure):
     _fields_ = (("length", ctypes.c_ushort), ("instructions", ctypes.c_void_p))
 
 
-class Program:
+class FilterProgram:
     """A program of classic BPF.
 
     Args:

@@ -212,8 +212,8 @@ class Filter:
         self._sockets, self._only_own = sockets, only_own
         self._made = None if self._machine is None or only_own else self._make(self._machine, None)
 
-    def _make(self, machine: Machine, own_pid: int | None) -> kernel.Program:
-        return kernel.Program(program(machine, sockets=self._sockets, own_pid=own_pid))
+    def _make(self, machine: Machine, own_pid: int | None) -> kernel.FilterProgram:
+        return kernel.FilterProgram(program(machine, sockets=self._sockets, own_pid=own_pid))
 
     def works(self) -> bool:
         """Try it in a process of its own."""
