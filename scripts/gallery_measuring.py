@@ -12,6 +12,7 @@ import gem_core as gem
 from gem_core.records import Episode, JointEpisode
 from gem_core.records.summary import EnvSummary
 from gem_core.registry import EnvSpec
+from gem_core.terminal import observation_text
 
 SEED = 20
 """Seed of every run."""
@@ -253,7 +254,7 @@ def _recorded(episode: Any, record: EnvSpec) -> dict[str, Any]:
     return {
         "seed": episode.seed,
         "options": dict(episode.options or {}),
-        "opening": cut(text_of(first.observation), _LONGEST_OPENING),
+        "opening": cut(observation_text(first.observation), _LONGEST_OPENING),
         "turns": [{**turn, "action": cut(turn["action"]), "answer": cut(turn["answer"])} for turn in kept],
         "num_turns": len(turns),
         "returns": {each.seat or "": round(each.episode_return, 4) for each in judged},
@@ -290,7 +291,7 @@ def _answers(episode: Any) -> dict[str | None, Any]:
         seen = [*(turn.observation for turn in each.transitions[1:]), each.final_observation]
         for turn, observation in zip(each.transitions, seen, strict=True):
             reason = turn.info.get("reason") or turn.info.get("status") or ""
-            text = turn.info.get("feedback") or text_of(observation)
+            text = turn.info.get("feedback") or observation_text(observation)
             yield f"{text} {reason}".strip() if text == "<episode over>" else text
 
     episodes = list(episode) if isinstance(episode, JointEpisode) else [episode]
@@ -302,7 +303,7 @@ def _frames(episode: Any, record: EnvSpec, turns: Sequence[dict[str, Any]]) -> l
     first = next(iter(episode)).observation if isinstance(episode, JointEpisode) else episode.observation
     image = image_of(first)
     drawings = _drawings(episode, record) or [image] * (len(turns) + 1)
-    opening = "" if drawings[0] and not image else cut(text_of(first), 1_200)
+    opening = "" if drawings[0] and not image else cut(observation_text(first), 1_200)
     frames = [Frame(drawings[0], "the beginning", "", None, opening)]
     for turn, drawing in zip(turns, drawings[1:], strict=True):
         who = f", {turn['seat']}" if turn["seat"] else ""
@@ -335,14 +336,6 @@ def _actions(episode: Any) -> Iterable[Any]:
     left = {seat: iter(each.transitions) for seat, each in episode.seats.items()}
     for acted in episode.order:
         yield {seat: str(next(left[seat]).action) for seat in acted}
-
-
-def text_of(observation: Any) -> str:
-    """Return the text of an observation, with a word in the place of each image."""
-    if isinstance(observation, str):
-        return observation
-    parts = (part.get("text") or part.get("content") or "[image]" for part in observation)
-    return "\n".join(text_of(part) for part in parts)
 
 
 def image_of(observation: Any) -> str:

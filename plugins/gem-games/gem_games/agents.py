@@ -13,6 +13,7 @@ from math import perm
 
 from gem_core.errors import AgentError
 from gem_core.rollouts import Context
+from gem_core.terminal import observation_text
 from gem_core.types import Observation
 from gem_games.mastermind import count_pegs
 from gem_games.tower_of_hanoi import best_move
@@ -38,7 +39,7 @@ class BisectionAgent:
         Raises:
             AgentError: The observation is not one of GuessTheNumber.
         """
-        text = _text(observation)
+        text = observation_text(observation)
         ranges = _RANGE.findall(text)
         if not ranges:
             raise _wrong_game("bisect", "game:GuessTheNumber-*", context)
@@ -60,7 +61,7 @@ class MastermindAgent:
         Raises:
             AgentError: The observation is not one of Mastermind, or there are too many codes to go through.
         """
-        text = _text(observation)
+        text = observation_text(observation)
         codes = _CODE.findall(text)
         if not codes:
             raise _wrong_game("mastermind", "game:Mastermind-*", context)
@@ -85,7 +86,7 @@ class HanoiAgent:
         Raises:
             AgentError: The observation is not one of TowerofHanoi.
         """
-        pegs = _PEG.findall(_text(observation))[-3:]
+        pegs = _PEG.findall(observation_text(observation))[-3:]
         if [name for name, _ in pegs] != ["A", "B", "C"]:
             raise _wrong_game("hanoi", "game:TowerofHanoi-*", context)
         place = {int(disk): name for name, row in pegs if row != "empty" for disk in row.split()}
@@ -101,14 +102,6 @@ def _possible(length: int, numbers: int, repeats: bool, marked: tuple[Marked, ..
     guess, black, white = marked[-1]
     before = _possible(length, numbers, repeats, marked[:-1])
     return [code for code in before if count_pegs(guess, code) == (black, white)]
-
-
-def _text(observation: Observation) -> str:
-    """Return the text of any observation: plain, content parts, or chat messages."""
-    if isinstance(observation, str):
-        return observation
-    contents = (part.get("text", part.get("content")) or "" for part in observation)
-    return "\n".join(_text(content) for content in contents)
 
 
 def _wrong_game(agent: str, ids: str, context: Context | None) -> AgentError:

@@ -13,8 +13,9 @@ from itertools import product
 from gem_core.env import stable_hash
 from gem_core.errors import AgentError, ArgumentError
 from gem_core.rollouts import Context
+from gem_core.terminal import observation_text
 from gem_core.types import Observation
-from gem_games.agents import _text, _wrong_game
+from gem_games.agents import _wrong_game
 from gem_games.kuhn_strategy import equilibrium
 from gem_games.negotiation import POOL_VALUE, worth
 from gem_games.tic_tac_toe import best_moves
@@ -49,7 +50,7 @@ class TicTacToeAgent:
         Raises:
             AgentError: The observation is not one of TicTacToe.
         """
-        text = _text(observation)
+        text = observation_text(observation)
         rows, marks = _BOARD_ROW.findall(text)[-3:], _MARK.findall(text)
         if len(rows) < 3 or not marks:
             raise _wrong_game("tictactoe", "game:TicTacToe-v0", context)
@@ -82,7 +83,7 @@ class KuhnAgent:
         Raises:
             AgentError: The observation is not one of KuhnPoker.
         """
-        hands = list(_HAND.finditer(_text(observation)))
+        hands = list(_HAND.finditer(observation_text(observation)))
         if not hands:
             raise _wrong_game("kuhn", "game:KuhnPoker-v0", context)
         card, played = hands[-1].groups()
@@ -121,7 +122,7 @@ class NegotiationAgent:
         Raises:
             AgentError: The observation is not one of Negotiation.
         """
-        text = _text(observation)
+        text = observation_text(observation)
         pools, worths, tables, turns = (list(line.finditer(text)) for line in (_POOL, _WORTH, _OFFER, _TURNS))
         if not (pools and worths and turns):
             raise _wrong_game("negotiator", "game:Negotiation-v0", context)

@@ -6,8 +6,9 @@ import re
 
 from gem_core.errors import AgentError, ArgumentError
 from gem_core.rollouts import Context
+from gem_core.terminal import observation_text
 from gem_core.types import Observation
-from gem_games.agents import _text, _wrong_game
+from gem_games.agents import _wrong_game
 from gem_games.wiki.articles import load_articles
 
 _PLACE = re.compile(r"^Your target: (.+)\.\nYou are at: (.+)\.$", re.MULTILINE)
@@ -22,7 +23,7 @@ class WikiGameAgent:
         Raises:
             AgentError: The observation is not one of WikiGame, or its articles are not the shipped ones.
         """
-        places = _PLACE.findall(_text(observation))
+        places = _PLACE.findall(observation_text(observation))
         if not places:
             raise _wrong_game("wikigame", "game:WikiGame-*", context)
         target, here = places[-1]
