@@ -35,7 +35,7 @@ PRIVATE_IN_TESTS = {
     "plugins/gem-games/tests/test_minesweeper.py": {"_set_mines"},
     "plugins/gem-games/tests/test_sokoban.py": {"_set_cells"},
     "plugins/gem-games/tests/test_sudoku.py": {"_put"},
-    "plugins/gem-games/tests/test_word_rewards.py": {"_begin"},
+    "plugins/gem-games/tests/test_verdicts.py": {"_begin", "_put", "_set_cells", "_set_mines"},
     "plugins/gem-math/tests/test_reasoning.py": {"_all", "_pool", "_process", "_rows"},
     "plugins/gem-qa/tests/test_qa_judging.py": {"_judge"},
     "plugins/gem-tools/tests/test_python_attacks_memory.py": {"_spare_uid"},
