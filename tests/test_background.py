@@ -152,23 +152,6 @@ def test_cancelled_wait_leaves_no_trace(capfd: pytest.CaptureFixture[str]) -> No
     assert capfd.readouterr().err == ""
 
 
-EXIT = """
-import asyncio, threading
-from gem_core.background import background_loop, in_thread, run_sync
-
-asyncio.run_coroutine_threadsafe(in_thread(threading.Event().wait), background_loop())
-asyncio.run_coroutine_threadsafe(asyncio.sleep(3600), background_loop())
-run_sync(asyncio.sleep(0))
-print("end")
-"""
-
-
-def test_blocked_thread_does_not_hold_up_exit() -> None:
-    """An interpreter with a hung call and a waiting coroutine ends at once, cleanly and in silence."""
-    done = subprocess.run([sys.executable, "-c", EXIT], capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "end\n", "")
-
-
 FORK = """
 import os
 from gem_core.background import run_sync

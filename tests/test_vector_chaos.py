@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import gc
 import os
 import random
 import signal
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import pytest
 import vector_envs
-from vector_envs import ASYNC, INLINE, KINDS, PROCESS, THREAD
+from vector_envs import ASYNC, INLINE, KINDS, PROCESS, THREAD, eventually, is_alive
 
 import gem_core as gem
 from gem_core.background import background_loop
@@ -187,25 +185,6 @@ def threads() -> list[str]:
     return sorted(one.name for one in threading.enumerate() if one.name.startswith("gem-") and one.name not in kept)
 
 
-def eventually(condition: Callable[[], object], limit_s: float = 60.0) -> bool:
-    """Look until something is so; the limit only ends a hang."""
-    end = time.monotonic() + limit_s
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        gc.collect()
-        threading.Event().wait(0.02)
-    return True
-
-
-def is_gone(pid: int) -> bool:
-    try:
-        with open(f"/proc/{pid}/stat") as file:
-            return file.read().rpartition(")")[2].split()[0] == "Z"
-    except OSError:
-        return True
-
-
 @pytest.mark.few(1)
 @pytest.mark.parametrize("driver", ["rollout", "rollout_async", "arollout"])
 @pytest.mark.parametrize("home", HOMES)
@@ -222,5 +201,5 @@ def test_every_episode_is_accounted_for_exactly_once(home: str, driver: str, mon
     pids = attempt.pids
     del attempt
     assert eventually(lambda: not threads()), threads()
-    assert eventually(lambda: all(map(is_gone, pids)))
+    assert eventually(lambda: not any(map(is_alive, pids)))
     assert eventually(lambda: len(os.listdir("/proc/self/fd")) <= files)

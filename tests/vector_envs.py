@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import ctypes
+import gc
 import os
 import signal
 import subprocess
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -300,6 +302,26 @@ def workers_of(pid: int) -> list[int]:
         except (OSError, ValueError):
             continue  # it has ended, or is no process
     return sorted(found)
+
+
+def is_alive(pid: int) -> bool:
+    """Tell whether a process runs, and is no zombie."""
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def eventually(condition: Callable[[], object], limit_s: float = 60.0) -> bool:
+    """Look until something is so; the limit only ends a hang."""
+    end = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        gc.collect()
+        threading.Event().wait(0.01)
+    return True
 
 
 def register_vector_envs() -> None:
