@@ -32,13 +32,14 @@ def own_registry(monkeypatch: pytest.MonkeyPatch) -> registry.Registry:
 
 @pytest.fixture
 def offer(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Add records of tools and wrappers to the registry, as a plugin would, for one test."""
+    """Add records of tools, wrappers and requirements to the registry, as a plugin would, for one test."""
 
     def add(*records: NamedSpec) -> None:
         found = registry.registry()
         found.load()
-        offered = {record.name: record for record in records}
-        monkeypatch.setitem(found._named, "wrapper", {**found._named.get("wrapper", {}), **offered})
+        for record in records:
+            space = "requirement" if record.kind == "requirement" else "wrapper"
+            monkeypatch.setitem(found._named, space, {**found._named.get(space, {}), record.name: record})
 
     return add
 

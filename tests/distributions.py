@@ -102,3 +102,8 @@ def python(code: str, paths: list[Path], **variables: str) -> subprocess.Complet
     return subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300, check=False
     )
+
+
+def gem_in(paths: list[Path], *arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run the command ``gem`` in such an interpreter."""
+    return python(f"from gem_core.cli import main\nmain({list(arguments)!r})", paths, **variables)

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from distributions import install, python
+from distributions import gem_in, install, python
 
 WRONG = {
     "fine": "Every record has a summary. Seen: without one: tool fine_tool, ",
@@ -56,8 +56,7 @@ DANGLING = {
 
 def checked(case: str, site: Path, *arguments: str) -> tuple[int, list[str]]:
     """Return the exit code of ``gem plugins --check`` and the problems that it names."""
-    code = f"from gem_core.cli import main\nmain(['plugins', {case!r}, '--check', '--json', *{arguments!r}])"
-    done = python(code, [site])
+    done = gem_in([site], "plugins", case, "--check", "--json", *arguments)
     (plugin,) = json.loads(done.stdout)
     return done.returncode, plugin["problems"]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from distributions import install, python
+from distributions import gem_in, install, python
 
 import gem_core as gem
 from gem_core.cli import diagnosis
@@ -22,12 +22,10 @@ from gem_core.registry.specs import RequirementSpec
 if TYPE_CHECKING:
     import subprocess
 
-DOCTOR = "import sys\nfrom gem_core.cli import main\nmain(['doctor', *ARGUMENTS])"
-
 
 def doctor(*arguments: str, paths: list[Path], **variables: str) -> subprocess.CompletedProcess[str]:
     """Run the command in an interpreter that sees some distributions."""
-    done = python(f"ARGUMENTS = {arguments!r}\n{DOCTOR}", paths, **variables)
+    done = gem_in(paths, "doctor", *arguments, **variables)
     # On a machine with nothing stronger than the level `process`, one line says so, whoever asks.
     done.stderr = "".join(line for line in done.stderr.splitlines(True) if "weakest level" not in line)
     return done
@@ -162,10 +160,9 @@ def probe_of_gems(argument: str, *, closely: bool = False) -> RequirementStatus:
     return RequirementStatus("met" if int(argument) > 6 else "unmet", f"looked at {'closely' * closely}")
 
 
-def test_words_of_plugins_are_probed_closely(needy: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_words_of_plugins_are_probed_closely(needy: Registry, offer: Callable[..., None]) -> None:
     """With what stands behind the colon, or with nothing; a probe that fails does not end the report."""
-    record = RequirementSpec(name="gems", entry_point=probe_of_gems)
-    monkeypatch.setitem(needy._named, "requirement", {"gems": record})
+    offer(RequirementSpec(name="gems", entry_point=probe_of_gems))
     unneeded = row(diagnosis.requirements(needy), "gems")
     assert (unneeded["status"], unneeded["environments"]) == ("unknown", 0)
     assert unneeded["detail"].startswith("its probe failed: ValueError: ")

@@ -6,16 +6,17 @@ import io
 import re
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
-from command_calls import Outcome
 from toys import Calculator
 
 import gem_core as gem
-from gem_core.cli import main
 from gem_core.records.files import read_episodes
 from gem_core.terminal import BLOCK, observation_text
+
+if TYPE_CHECKING:
+    from command_calls import Outcome, RunGem
 
 COUNTDOWN, ECHO, SUMS = "toy:Countdown-v0", "toy:Echo-v0", "toy:Sums-v0"
 BOARD = "play:Board-v0"
@@ -64,16 +65,12 @@ gem.register(BOARD, BoardEnv, summary="Write letters.")
 
 
 @pytest.fixture
-def play(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def play(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch):
     """Call ``gem play`` in this process, in an empty folder, with input from a pipe."""
-    monkeypatch.chdir(tmp_path)
 
     def call(*arguments: str, typed: str = "", command: str = "play") -> Outcome:
         monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(typed.encode("utf-8", "surrogateescape"))))
-        with pytest.raises(SystemExit) as caught:
-            main([command, *arguments])
-        captured = capsys.readouterr()
-        return Outcome(int(caught.value.code or 0), captured.out, captured.err)
+        return run_gem(command, *arguments)
 
     return call
 

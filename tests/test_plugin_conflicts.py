@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 import pytest
-from distributions import install, python
+from distributions import gem_in, install, python
 from word_env import WordEnv, message
 
 import gem_core as gem
@@ -78,7 +78,7 @@ def test_a_program_cannot_register_what_plugins_contest(
 
 def gem_of(sites: list[Path], *arguments: str, **variables: str) -> tuple[int, str, str]:
     """Run the command where some distributions are installed beside each other."""
-    done = python(f"from gem_core.cli import main\nmain({list(arguments)!r})", sites, **variables)
+    done = gem_in(sites, *arguments, **variables)
     return done.returncode, done.stdout, done.stderr
 
 

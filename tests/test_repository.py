@@ -45,7 +45,6 @@ PRIVATE_IN_TESTS = {
     "plugins/gem-tools/tests/test_requirements_probes.py": {"_working"},
     "tests/conftest.py": {"_find", "_named", "_registry"},
     "tests/test_completion.py": {"_registry"},
-    "tests/test_doctor.py": {"_named"},
     "tests/test_tool_limits.py": {"_sessions"},
     "tests/testing/reference_envs.py": {"_np_random"},
 }
