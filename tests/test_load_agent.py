@@ -47,6 +47,7 @@ def test_agents_are_found_by_name_and_by_module(module: str) -> None:
         ("json:dumsp", "Did you mean 'dump' or 'dumps'?"),
         (":x", "MODULE:CALLABLE"),
         ("os:", "MODULE:CALLABLE"),
+        ("os:sep", "'os:sep' is a str"),
     ],
 )
 def test_unknown_agents_name_the_nearest(name: str, message: str) -> None:

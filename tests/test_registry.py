@@ -69,6 +69,8 @@ CORE_WRAPPERS = "concat, concat_chat, concat_with_action, episode_stats, latest,
         ("tool", "concat", "None is installed: try 'pip install gem-tools'."),
         ("tool", "python", "It comes with a plugin: try 'pip install gem-tools'."),
         ("backend", "snc", "Did you mean 'sync' or 'async'? There are: async, auto, process, sync."),
+        ("backend", "ray", "It comes with a plugin: try 'pip install gem-ray'."),
+        ("wrapper", "typos", "It comes with a plugin: try 'pip install gem-eval'."),
         ("agent", "randm", "Did you mean 'random'? There are: human, random."),
     ],
 )
