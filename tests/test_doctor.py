@@ -107,7 +107,6 @@ def test_diagnosis_loads_nothing_heavy(sites: dict[str, Path]) -> None:
     done = python(
         f"import sys\nfrom gem_core.cli.diagnosis import diagnose\ndiagnose(quick=True)\nprint({heavy})",
         [sites["fine"]],
-        GEM_PLUGINS_DISABLE="tools",  # the status of its tools may load what they need
     )
     assert done.stdout == "[]\n"
 

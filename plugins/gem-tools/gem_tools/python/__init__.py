@@ -8,16 +8,10 @@ The pool is there for other plugins too::
     outcome.status, outcome.stdout  # ("ok", "42\n")
 """
 
-from __future__ import annotations
+import lazy_loader
 
 from gem_core.errors import refuse_windows
 
 refuse_windows("the tool 'python'")
 
-from gem_tools.python.errors import SandboxError  # noqa: E402 - what follows needs what Windows lacks
-from gem_tools.python.limits import Limits  # noqa: E402
-from gem_tools.python.outcome import Outcome  # noqa: E402
-from gem_tools.python.pool import Pool, Session, shared_pool  # noqa: E402
-from gem_tools.python.tool import PythonTool, make_python  # noqa: E402
-
-__all__ = ["Limits", "Outcome", "Pool", "PythonTool", "SandboxError", "Session", "make_python", "shared_pool"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
