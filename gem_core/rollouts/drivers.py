@@ -21,7 +21,7 @@ from gem_core.records.episode import Episode
 from gem_core.records.joint import JointEpisode, Record
 from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
 from gem_core.rollouts.agent import Agent, close_agent, is_asynchronous, prepare_agent
-from gem_core.rollouts.loop import Run
+from gem_core.rollouts.loop import Run, play_here
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
 from gem_core.rollouts.seating import AgentOfItem, OneAgent, Seating, as_seating
 from gem_core.vector.backends import make_vector
@@ -253,8 +253,8 @@ def _episodes(options: _Options) -> Iterator[Record]:
         count = options.counting(at_end, queue, len(finished))
         is_plain = not any(map(is_asynchronous, options.agents))
         run = Run(vector, queue, options.seating, options.max_requests, door.here, is_plain)
-        at_end.callback(lambda: door.run(run.stop()))
-        while (episode := door.run(run.next_record())) is not None:
+        at_end.callback(lambda: door.run(run.stop()) if run.tasks else None)
+        for episode in _records(run, door):
             count()
             yield episode
     finally:
@@ -263,6 +263,15 @@ def _episodes(options: _Options) -> Iterator[Record]:
             run_or_schedule(in_thread(at_end.close))
         else:
             at_end.close()
+
+
+def _records(run: Run, door: Door) -> Iterator[Record]:
+    if run.is_plain:
+        yield from play_here(run)
+        if not run.drawn:
+            return
+    while (record := door.run(run.next_record())) is not None:
+        yield record
 
 
 async def _episodes_async(options: _Options) -> AsyncGenerator[Record]:

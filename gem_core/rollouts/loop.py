@@ -1,18 +1,17 @@
 """The loop: agents play an episode. Start to read GEM here.
 
-``play`` is one episode: reset, ask, step, record, until it is over. ``play_slot`` plays the episodes of a plan in one
-slot, one after another. A ``Run`` does that in all slots side by side, and returns the episodes as they finish;
-``rollout`` and ``arollout`` in ``drivers`` are what people call.
+``play`` is one episode: reset, ask, step, record, until it is over. Where nothing waits, ``play_here`` plays the plan
+in the caller's thread, slot after slot. Else a ``Run`` has a ``play_slot`` for each slot, side by side, and returns the
+episodes as they finish. ``rollout`` and ``arollout`` in ``drivers`` are what people call.
 """
 
 from __future__ import annotations
 
 import asyncio
-import copy
 import inspect
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+import itertools
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
 from contextlib import nullcontext
-from functools import cached_property
 from typing import Any, TypeVar, cast
 
 from gem_core.background import run_sync, run_without_loop, side_by_side
@@ -90,8 +89,9 @@ async def ask(run: Run, seat: RunningSeat) -> Response:
     try:
         async with run.requests:
             seen = seat.conversation.sent(), seat.context
-            answer: Any = seat.agent(*seen) if seat.is_asynchronous else await run.here(seat.agent, *seen)
-            if run.here is _at_once and inspect.isawaitable(answer):
+            is_called_here = run.is_here or seat.is_asynchronous
+            answer: Any = seat.agent(*seen) if is_called_here else await run.here(seat.agent, *seen)
+            if run.is_here and inspect.isawaitable(answer):
                 answer = run_sync(answer)
             return await seat.read_answer(answer)
     except (EpisodeLimitError, RequestError, EnvFaultError) as failure:
@@ -127,11 +127,38 @@ def why_no_answer(slot: Slot, failure: GemError) -> Info:
     return {"error": error}
 
 
+def play_here(run: Run) -> Iterator[Record]:
+    """Play with plain agents in the caller's thread, one episode after another, until an environment runs elsewhere.
+
+    That environment's episode is left in ``run.drawn``: ``next_record`` goes on with it, in all slots side by side.
+    """
+    run.is_here = True
+    run_without_loop(run.vector.begin_rollout())
+    for slot in itertools.cycle(run.vector.slots):
+        start = run.queue.draw(slot.index)
+        if start is None:
+            break
+        failure = None
+        if not slot.fits(start) and slot.makes_in_place(start):
+            failure = run_without_loop(slot.make(start))
+        if failure is not None:
+            record = failed_record(run, slot, start, slot.fault(failure))
+        elif slot.in_place and slot.fits(start):
+            record = run_without_loop(play(run, slot, start))
+        else:
+            run.drawn[slot.index], run.is_here = start, False
+            return
+        yield record
+        slot.note_end(record.error)
+    for slot in run.vector.slots:
+        run_without_loop(slot.release())
+
+
 async def play_slot(run: Run, slot: Slot) -> None:
     """Play episodes of the plan in one slot, until there are no more."""
     while True:
         await run.room.acquire()
-        start = run.queue.draw(slot.index)
+        start = run.drawn.pop(slot.index, None) or run.queue.draw(slot.index)
         if start is None:
             break
         failure = None
@@ -139,9 +166,6 @@ async def play_slot(run: Run, slot: Slot) -> None:
             failure = await run.in_slot(slot.makes_in_place(start), slot.make, start)
         if failure is not None:
             record = failed_record(run, slot, start, slot.fault(failure))
-        elif run.is_plain and slot.in_place:
-            # Nothing waits: the caller's thread plays the whole episode.
-            record = await run.here(lambda start=start: run_without_loop(play(run.at_once, slot, start)))
         else:
             record = await play(run, slot, start)
         run.finished.put_nowait(record)
@@ -171,21 +195,26 @@ class Run:
         is_plain: bool,
     ) -> None:
         self.vector, self.queue, self.seating, self.here, self.is_plain = vector, queue, seating, here, is_plain
+        self.is_here = False
+        """Whether ``play_here`` plays in the caller's thread."""
+        self.drawn: dict[int, EpisodeStart] = {}
+        """The episode that is next in a slot, if it was drawn already."""
         self.requests: Any = nullcontext() if max_requests is None else asyncio.Semaphore(max_requests)
         self.room = asyncio.Semaphore(vector.num_envs)
         """Room for finished episodes: a slot waits for it, until the caller takes one."""
         self.finished: asyncio.Queue[Record | None] = asyncio.Queue()
         """Finished episodes that the caller has not taken; None when all slots are done."""
-        self._tasks: list[asyncio.Task[None]] = []
+        self.tasks: list[asyncio.Task[None]] = []
+        """The work of all slots, once it has begun."""
 
     async def _begin(self) -> None:
         """Begin to play in all slots."""
         await self.vector.begin_rollout()
-        self._tasks = [asyncio.create_task(play_slot(self, slot)) for slot in self.vector.slots]
-        _working.update(self._tasks)
-        for task in self._tasks:
+        self.tasks = [asyncio.create_task(play_slot(self, slot)) for slot in self.vector.slots]
+        _working.update(self.tasks)
+        for task in self.tasks:
             task.add_done_callback(_working.discard)
-        self._ended = asyncio.gather(*self._tasks)
+        self._ended = asyncio.gather(*self.tasks)
         self._ended.add_done_callback(self._note_end)
 
     async def next_record(self) -> Record | None:
@@ -193,7 +222,7 @@ class Run:
 
         An error that stops the run is raised after the episodes that finished before it.
         """
-        if self._tasks:
+        if self.tasks:
             self.room.release()
         else:
             await self._begin()
@@ -204,32 +233,21 @@ class Run:
 
     async def stop(self) -> None:
         """Cancel the agents and environments that are at work."""
-        for task in self._tasks:
+        for task in self.tasks:
             task.cancel()
-        if self._tasks:  # a coroutine that swallows its cancellation must not block the end of the run
-            await asyncio.wait(self._tasks, timeout=_CANCELLING_S)
+        if self.tasks:  # a coroutine that swallows its cancellation must not block the end of the run
+            await asyncio.wait(self.tasks, timeout=_CANCELLING_S)
 
     def _note_end(self, ended: asyncio.Future[Any]) -> None:
         self.finished.put_nowait(None)
         if not ended.cancelled():
             ended.exception()  # so that asyncio does not log it if the caller has left
 
-    @cached_property
-    def at_once(self) -> Run:
-        """The same run for episodes that the caller's thread plays without waiting."""
-        run = copy.copy(self)
-        run.here = _at_once
-        return run
-
     async def in_slot(self, in_place: bool, work: Callable[..., Coroutine[Any, Any, T]], *args: Any) -> T:
         """Await work of a slot's environment, in the caller's thread if it must run there."""
-        if in_place and self.vector.config.in_place is ALL_IN_PLACE:
+        if in_place and not self.is_here and self.vector.config.in_place is ALL_IN_PLACE:
             return cast("T", await self.here(lambda: run_without_loop(work(*args))))
         return await work(*args)
-
-
-async def _at_once(function: Callable[..., T], *args: Any) -> T:
-    return function(*args)
 
 
 def begin_episode(
