@@ -24,7 +24,7 @@ LAYERS = [
         "terminal",
     },
     {"registry"},
-    {"_plugin", "container_engine"},
+    {"_plugin"},
     {"env"},
     {"data"},
     {"records"},

@@ -19,7 +19,6 @@ from pathlib import Path
 import pytest
 from tutorial_steps import agrees, follow, shown_outputs, steps_of
 
-from gem_core.container_engine import probe
 from gem_core.parsing import extract_code_blocks
 
 ROOT = Path(__file__).parent.parent
@@ -60,12 +59,10 @@ def variables(folder: Path) -> dict[str, str]:
 
 def base_image() -> str:
     """Return the image of tests, which stands for the one that a tutorial names; skip without it."""
-    engine = probe(closely=True)
-    if engine.status == "unmet":
-        pytest.skip(engine.advice)
     image = os.environ.get("GEM_TERMINAL_BASE_IMAGE", "gem-python:base")
-    if subprocess.run(["docker", "image", "inspect", image], capture_output=True, check=False).returncode:
-        pytest.skip(f"the engine has no image {image}: name one with GEM_TERMINAL_BASE_IMAGE")
+    inspect = ["docker", "image", "inspect", image]
+    if shutil.which("docker") is None or subprocess.run(inspect, capture_output=True, check=False).returncode:
+        pytest.skip(f"no engine answers that has the image {image}: name one with GEM_TERMINAL_BASE_IMAGE")
     return image
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from gem_core.registry import CommandSpec, EnvSpec, RequirementSpec, hookimpl
+from gem_core.registry import CommandSpec, EnvSpec, hookimpl
 
 
 @hookimpl
@@ -17,7 +17,7 @@ def gem_register_envs() -> Iterable[EnvSpec]:
         summary="Work in a terminal; tasks of Terminal-Bench or Harbor in a folder of yours (path=…).",
         kwargs={"max_turns": 50},
         tags=("terminal", "text", "tools"),
-        requires=("docker",),
+        requires=("docker",),  # the probe is in gem-tools
         deterministic=False,
     )
     for name, form, summary in (
@@ -27,13 +27,6 @@ def gem_register_envs() -> Iterable[EnvSpec]:
         kwargs = {"path": f"gem_terminal:sample/{form}", **folder.kwargs}
         yield replace(folder, id=f"terminal:{name}", kwargs=kwargs, summary=summary)
     yield replace(folder, folder_markers=("task.toml", "task.yaml"))
-
-
-@hookimpl
-def gem_register_requirements() -> Iterable[RequirementSpec]:
-    """What the machines stand on."""
-    probe = "gem_core.container_engine:probe"
-    return [RequirementSpec(name="docker", entry_point=probe, summary="A container engine that answers.")]
 
 
 @hookimpl

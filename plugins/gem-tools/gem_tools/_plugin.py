@@ -40,7 +40,7 @@ def gem_register_call_formats() -> Iterable[CallFormatSpec]:
 @hookimpl
 def gem_register_requirements() -> Iterable[RequirementSpec]:
     """What the sandboxes stand on."""
-    engine, sandbox = "gem_core.container_engine:probe", "gem_tools.requirements:bubblewrap"
+    engine, sandbox = "gem_tools.container_engine:probe", "gem_tools.requirements:bubblewrap"
     yield RequirementSpec(name="docker", entry_point=engine, summary="A container engine that answers.")
     yield RequirementSpec(name="bubblewrap", entry_point=sandbox, summary="A sandbox that starts.")
 

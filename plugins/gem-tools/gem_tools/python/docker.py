@@ -12,8 +12,8 @@ import shutil
 import subprocess
 from collections.abc import Mapping, Sequence
 
-from gem_core.container_engine import find_engine
 from gem_core.errors import MissingRequirementError
+from gem_tools.container_engine import find_engine
 from gem_tools.python.errors import Unavailable
 
 LABEL = "gem-tools=python"

@@ -15,10 +15,10 @@ import requests
 import urllib3.exceptions
 from docker.utils import version_lt
 
-from gem_core.container_engine import EnginePlace, find_engine, why_silent
 from gem_core.errors import MissingRequirementError
 from gem_terminal.backends.interface import Resources
 from gem_terminal.errors import EngineError
+from gem_tools.container_engine import EnginePlace, find_engine, why_silent
 
 OLDEST_API = "1.40"
 """Docker 19.03; what is used here was in the interface by then."""
@@ -78,7 +78,7 @@ class Engine:
     """The connection to a container engine, safe in threads and after a fork.
 
     Args:
-        base_url: Where it is; None for the first that answers, see ``gem_core.container_engine``.
+        base_url: Where it is; None for the first that answers, see ``gem_tools.container_engine``.
     """
 
     def __init__(self, base_url: str | None = None) -> None:
