@@ -254,20 +254,6 @@ def test_death_in_a_reset_is_that_of_its_own_item(item: PlanItem) -> None:
     assert sorted(map(str, observations)) == sorted(str(alone[key]) for key in (0, 1, 3, 4, 5))
 
 
-def test_more_memory_than_a_worker_may_use_is_a_fault_of_the_slot() -> None:
-    """The worker goes on."""
-    vector = gem.make_vec(
-        INLINE, 2, backend=("process", {"workers": 1, "worker_memory_bytes": vector_envs.MEMORY - 1}), seed=1, length=3
-    )
-    vector.reset()
-    first = vector.step(["!pid"] * 2).infos[0]["pid"]
-    step = vector.step(["a!memory", "b"])
-    assert "MemoryError: Unable to allocate 6.00 GiB" in step.infos[0]["final_info"]["error"]["message"]
-    assert not step.truncated[1]
-    assert vector.step({0: "!pid"}).infos[0]["pid"] == first
-    vector.close()
-
-
 def test_neighbours_of_a_death_end_as_collateral() -> None:
     """They are marked, and do not count as faults; then all go on in another worker."""
     vector = gem.make_vec(INLINE, 3, backend=("process", {"workers": 1}), seed=1, length=9)

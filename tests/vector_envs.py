@@ -18,8 +18,6 @@ import warnings
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 import gem_core as gem
 from gem_core.background import in_thread
 from gem_core.types import ResetResult, StepResult
@@ -219,7 +217,6 @@ def wait_turn(action: str) -> None:
         turns.wait(int(number))
 
 
-MEMORY = 6 << 30
 CHILD_MARK = "gem-test-child-of-"
 
 
@@ -229,10 +226,6 @@ def misbehave(how: str) -> None:
         raise RAISED[how]()
     if how in DONE:
         DONE[how]()
-
-
-def _hoard() -> None:
-    raise RuntimeError(f"got {len(np.empty(MEMORY, np.uint8))} bytes")
 
 
 def _leave_children() -> None:
@@ -257,7 +250,6 @@ DONE: dict[str, Callable[[], object]] = {
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
     "segv": lambda: ctypes.string_at(0),
     "recurse": lambda: misbehave("recurse"),
-    "memory": _hoard,
     "children": _leave_children,
     "children, hang": lambda: (_leave_children(), HUNG.wait(120)),
     "count": CLOSED.release,

@@ -63,19 +63,17 @@ def asynchronous(setup: VectorSetup) -> VectorEnv:
     return VectorEnv(setup, in_place=_in_place(setup))
 
 
-def processes(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes: int | None = None) -> VectorEnv:
+def processes(setup: VectorSetup, *, workers: int | None = None) -> VectorEnv:
     """Step environments in worker processes, many in each.
 
     Args:
         setup: See ``make_vec``.
         workers: Number of processes; by default one for each core, and at most one for each slot.
-        worker_memory_bytes: Address space that a worker may use; beyond it, an environment gets a ``MemoryError``.
-            None for no limit.
     """
-    return VectorEnv(setup, pool=process_pool(setup, workers=workers, worker_memory_bytes=worker_memory_bytes))
+    return VectorEnv(setup, pool=process_pool(setup, workers=workers))
 
 
-def auto(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes: int | None = None) -> VectorEnv:
+def auto(setup: VectorSetup, *, workers: int | None = None) -> VectorEnv:
     """Choose the place of each environment by its ``concurrency``.
 
     Environments with ``"process"``, and with a ``step_timeout`` those with ``"inline"``, go to worker processes; all
@@ -85,7 +83,7 @@ def auto(setup: VectorSetup, *, workers: int | None = None, worker_memory_bytes:
     in_pool = functools.cache(lambda env_id: setup.concurrency(env_id) in far)
     if not any(map(in_pool, setup.all_ids)):
         return VectorEnv(setup, in_place=_in_place(setup))
-    pool = process_pool(setup, workers=workers, worker_memory_bytes=worker_memory_bytes)
+    pool = process_pool(setup, workers=workers)
     return VectorEnv(setup, in_place=_in_place(setup), pool=pool, in_pool=in_pool)
 
 

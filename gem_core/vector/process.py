@@ -23,7 +23,7 @@ from gem_core.vector.setup import VectorSetup
 
 _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from gem_core.vector.worker import main; main(*map(int, sys.argv[2:]))"
+    "from gem_core.vector.worker import main; main(int(sys.argv[2]))"
 )
 
 _COMMAND_S = 1.0
@@ -37,17 +37,15 @@ Its children may hold the socket open."""
 _workers: weakref.WeakSet[ProcessWorker] = weakref.WeakSet()
 
 
-def process_pool(setup: VectorSetup, *, workers: int | None, worker_memory_bytes: int | None) -> WorkerPool:
+def process_pool(setup: VectorSetup, *, workers: int | None) -> WorkerPool:
     """Return workers in processes of this machine; see ``backends.processes``.
 
     Raises:
-        ArgumentError: A number is out of range, or the setup cannot be sent to another process.
+        ArgumentError: The number is out of range, or the setup cannot be sent to another process.
     """
-    for name, value in (("workers", workers), ("worker_memory_bytes", worker_memory_bytes)):
-        if value is not None and (type(value) is not int or value < 1):
-            raise ArgumentError(f"{name} must be a positive whole number, not {value!r}")
-    count = min(len(setup.ids), workers or _cores())
-    return WorkerPool(setup, lambda packed: ProcessWorker(packed, worker_memory_bytes or 0), count)
+    if workers is not None and (type(workers) is not int or workers < 1):
+        raise ArgumentError(f"workers must be a positive whole number, not {workers!r}")
+    return WorkerPool(setup, ProcessWorker, min(len(setup.ids), workers or _cores()))
 
 
 class ProcessWorker(Worker):
@@ -59,19 +57,18 @@ class ProcessWorker(Worker):
 
     Args:
         packed: Pickled ``VectorSetup``.
-        memory_bytes: Address space that it may use; 0 for no limit.
 
     Raises:
         GemError: The setup cannot be used there.
         WorkerDiedError: It ended at its start.
     """
 
-    def __init__(self, packed: bytes, memory_bytes: int) -> None:
+    def __init__(self, packed: bytes) -> None:
         ours, theirs = socket.socketpair()
         path = json.dumps([entry or os.getcwd() for entry in sys.path])
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", _START, path, str(theirs.fileno()), str(memory_bytes)],
+                [sys.executable, "-c", _START, path, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,

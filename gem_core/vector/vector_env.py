@@ -10,11 +10,8 @@ from contextlib import suppress
 from types import MappingProxyType
 from typing import Any, Self, TypeVar, cast
 
-import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
 
 from gem_core.background import background_loop, on_library_loop, run_without_loop
 from gem_core.closing import CLOSING_S, close_all, wait_for_closing
@@ -23,7 +20,6 @@ from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, ClosedError, EnvFaultError, GemError, ResetNeededError
 from gem_core.failures import Failure, WorkerFailureError
 from gem_core.making.again import Recipe
-from gem_core.making.environment import MadeSpec
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.types import Action, Info, Observation
 from gem_core.vector.actions import Actions, Received, VectorStep, check_action, checked_slot, masked_slots, paired
@@ -51,9 +47,7 @@ _OWN_METHODS = ("close", "reset", "reset_async", "step", "step_async")
 class VectorEnv:
     """Many environments that are reset and stepped together, each in its own slot; ``make_vec`` makes one.
 
-    It is not a ``gymnasium.vector.VectorEnv``: texts and infos are lists. It has the same attributes, in every backend.
-    They make an environment if a slot has none yet, and need slots that are not under way. From a worker process comes
-    a copy, by pickling.
+    It is not a ``gymnasium.vector.VectorEnv``: texts and infos are lists. ``call`` asks every environment for anything.
 
     When an episode ends, the next begins in the same call (autoreset ``same_step``): the observation is the first of
     the new episode, and ``info["final_obs"]`` and ``info["final_info"]`` hold the last of the old one. If an
@@ -435,42 +429,7 @@ class VectorEnv:
         self._ready.clear()
         self._sent.clear()
 
-    # Attributes, as Gymnasium's users know them. Source: https://gymnasium.farama.org/api/vector/.
-
-    @property
-    def metadata(self) -> dict[str, Any]:
-        """Metadata of the first slot's environment, and ``autoreset_mode`` as Gymnasium names it."""
-        return {**self._first("metadata"), "autoreset_mode": AutoresetMode[self.autoreset.upper()]}
-
-    @property
-    def render_mode(self) -> str | None:
-        """Render mode of the first slot's environment."""
-        return cast("str | None", self._first("render_mode"))
-
-    @property
-    def spec(self) -> MadeSpec | None:
-        """The spec of the first slot's environment; its ``make`` makes another."""
-        return cast("MadeSpec | None", self._first("spec"))
-
-    @property
-    def single_observation_space(self) -> spaces.Space[Any]:
-        """Space of one slot's observations: the first slot's, if they differ; by agent, if several act."""
-        return cast("spaces.Space[Any]", self._first("observation_space", _space))
-
-    @property
-    def single_action_space(self) -> spaces.Space[Any]:
-        """Space of one slot's actions: the first slot's, if they differ; by agent, if several act."""
-        return cast("spaces.Space[Any]", self._first("action_space", _space))
-
-    @property
-    def observation_space(self) -> spaces.Tuple[Any]:
-        """Spaces of all slots' observations."""
-        return spaces.Tuple(self._ask_all(_space, "observation_space"))
-
-    @property
-    def action_space(self) -> spaces.Tuple[Any]:
-        """Spaces of all slots' actions; ``sample`` draws any text. ``sample_random_action`` draws valid actions."""
-        return spaces.Tuple(self._ask_all(_space, "action_space"))
+    # Asking every environment.
 
     def render(self) -> tuple[Any, ...]:
         """Return what ``render`` of each slot's environment returns: texts in the mode ``"ansi"``."""
@@ -478,6 +437,8 @@ class VectorEnv:
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of every slot's environment, or read an attribute that cannot be called.
+
+        An environment is made where a slot has none yet. From a worker process comes a copy, by pickling.
 
         Args:
             name: Of the method; a wrapper's goes before the task's.
@@ -494,45 +455,9 @@ class VectorEnv:
         """
         if name in _OWN_METHODS:
             raise ArgumentError(f"call({name!r}) would go past the vector environment; use its own {name}()")
-        return self._ask_all(_call, name, args, kwargs)
-
-    def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Return an attribute of every slot's environment, in the order of the slots.
-
-        Raises:
-            ArgumentError: An environment has no such attribute, or a slot is under way.
-        """
-        return self._ask_all(_get, name)
-
-    def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute of every slot's environment, until the environment is replaced.
-
-        A plan that asks for another environment replaces it, and so does a fault. What every environment shall have is
-        a keyword argument of ``make_vec``.
-
-        Args:
-            name: Name of the attribute; it is set on the task if no wrapper has it.
-            values: A list or tuple with one for each slot; or one value for all.
-
-        Raises:
-            ArgumentError: The number of values is not the number of slots, or a slot is under way.
-        """
-        each = values if isinstance(values, list | tuple) else [values] * self.num_envs
-        if len(each) != self.num_envs:
-            raise ArgumentError(f"set_attr({name!r}) takes {self.num_envs} values, one for each slot, not {len(each)}")
-        self._ask_all(_set, name, each)
-
-    def _first(self, name: str, function: Callable[..., Any] | None = None) -> Any:
-        return self._ask_all(function or _get, name, slots=self.slots[:1])[0]
-
-    def _ask_all(
-        self, function: Callable[..., Any], *args: Any, slots: Sequence[Slot] | None = None
-    ) -> tuple[Any, ...]:
-        """Apply a function to the environments of slots, each in its own process."""
-        slots = self.slots if slots is None else slots
         self._check_open()
-        self._refuse_busy(slots)
-        return tuple(self._ask(slot, None, _apply, slot.index, function, *args) for slot in slots)
+        self._refuse_busy(self.slots)
+        return tuple(self._ask(slot, None, _call, slot.index, name, args, kwargs) for slot in self.slots)
 
     def _ask(self, slot: Slot, target: tuple[Any, Any] | None, function: Callable[..., T], *args: Any) -> T:
         """Call a function with the environment in a slot, and return its result.
@@ -749,37 +674,14 @@ def _num_tasks(env: AnyEnv) -> tuple[int | None, bool]:
 # Applied to an environment in its own process.
 
 
-def _apply(env: AnyEnv, slot: int, function: Callable[..., Any], name: str, *args: Any) -> Any:
+def _call(env: AnyEnv, slot: int, name: str, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> Any:
     try:
-        return function(env, slot, name, *args)
+        found = env.get_wrapper_attr(name)
+    except AttributeError:
+        raise ArgumentError(f"slot {slot}: {type(env.unwrapped).__name__} has no attribute {name!r}") from None
+    try:
+        return found(*args, **kwargs) if callable(found) else found
     except GemError:
         raise
     except Exception as error:
         raise EnvFaultError(f"slot {slot}: {Failure.of(error, name).message}") from error
-
-
-def _get(env: AnyEnv, slot: int, name: str) -> Any:
-    try:
-        return env.get_wrapper_attr(name)
-    except AttributeError:
-        raise ArgumentError(f"slot {slot}: {type(env.unwrapped).__name__} has no attribute {name!r}") from None
-
-
-def _space(env: AnyEnv, slot: int, name: str) -> spaces.Space[Any]:
-    found = _get(env, slot, name)
-    if isinstance(found, spaces.Space):
-        return found
-    return spaces.Dict({agent: found(agent) for agent in _get(env, slot, "possible_agents")})
-
-
-def _call(env: AnyEnv, slot: int, name: str, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> Any:
-    found = _get(env, slot, name)
-    return found(*args, **kwargs) if callable(found) else found
-
-
-def _set(env: AnyEnv, slot: int, name: str, values: list[Any]) -> None:
-    # Not by Gymnasium's set_wrapper_attr, which takes what our wrappers pass on from inside for their own.
-    layer: Any = env
-    while isinstance(layer, gymnasium.Wrapper) and name not in vars(layer) and not hasattr(type(layer), name):
-        layer = layer.env
-    setattr(layer, name, values[slot])

@@ -142,12 +142,11 @@ def _as_gem_error(error: BaseException) -> GemError:
     )
 
 
-def main(socket: int, memory_bytes: int) -> None:
+def main(socket: int) -> None:
     """Serve the program at the other end of a socket until it hangs up; the program of a worker process.
 
     Args:
         socket: Descriptor of the open socket.
-        memory_bytes: Address space that may be used; 0 for no limit.
     """
     connection = Connection(socket)
     os.set_inheritable(socket, False)
@@ -158,10 +157,6 @@ def main(socket: int, memory_bytes: int) -> None:
     loop = None
     try:
         setup = requests.get()
-        if memory_bytes:
-            import resource
-
-            resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
         try:
             loop = WorkerLoop(setup or b"")
         except GemError as error:
