@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from gem_core import AgentSpec, CommandSpec, hookimpl
-from gem_core.registry import EnvSpec
 
 
 @hookimpl
@@ -22,20 +21,6 @@ def gem_add_commands() -> Iterable[CommandSpec]:
             entry_point="gem_train.gamma_study:command",
             summary="Show a claim about training by many small runs.",
         ),
-    ]
-
-
-@hookimpl
-def gem_register_envs() -> Iterable[EnvSpec]:
-    """A task with images that a small policy learns in minutes."""
-    return [
-        EnvSpec(
-            id="train:Shapes-v0",
-            entry_point="gem_train.shapes:ShapesEnv",
-            summary="How many shapes are in a small picture, which ones, of which colour?",
-            tags=("image",),
-            requires=("package:gem-train[vision]",),
-        )
     ]
 
 

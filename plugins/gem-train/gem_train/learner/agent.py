@@ -10,7 +10,7 @@ from gem_core.rollouts import Context
 from gem_core.types import Observation, Response
 from gem_train.learner.generation import sample
 from gem_train.learner.model import Cache
-from gem_train.learner.playing import encode, next_piece, shown_and_said
+from gem_train.learner.playing import encode, next_piece, shown_and_said, text_of
 from gem_train.learner.run_folder import RunFolder
 from gem_train.learner.vocabulary import END
 
@@ -80,4 +80,4 @@ class CheckpointAgent:
         return piece if anew else [*before, *piece]
 
     def _encode(self, observation: Observation) -> list[int]:
-        return encode(observation, self.vocabulary, self.policy.pictures)
+        return encode(text_of(observation), self.vocabulary)

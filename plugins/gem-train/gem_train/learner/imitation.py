@@ -16,7 +16,6 @@ from gem_train.learner.learning import Learner
 from gem_train.learner.options import TrainOptions
 from gem_train.learner.playing import encode, next_piece, shown_and_said, text_of
 from gem_train.learner.policy_loss import score
-from gem_train.learner.vision import Pictures
 from gem_train.learner.vocabulary import END, Vocabulary
 from gem_train.tokens import TokenBatch
 
@@ -133,14 +132,13 @@ def imitate(learner: Learner, recorded: Sequence[Episode]) -> Iterator[float]:
 def _rows(learner: Learner, recorded: Sequence[Episode]) -> TokenBatch:
     """Return the rows of episodes as the policy would read and say them."""
     options, vocabulary = learner.options, learner.vocabulary
-    pictures = learner.policy.pictures = Pictures(len(vocabulary))
     read, said, owner, row = [], [], [], []
     for index, episode in enumerate(recorded):
         view = episode.info.get("view") is not None
         earlier: list[tuple[list[int], list[int]]] = []
         length = 0
         for shown, text in shown_and_said(episode.transitions, options.feedback):
-            asked = encode(shown, vocabulary, pictures)
+            asked = encode(text_of(shown), vocabulary)
             answered = [*vocabulary.encode(text, phrases=False), END]
             piece, anew = next_piece(options, asked, earlier, length, view=view)
             length = (0 if anew else length) + len(piece) + len(answered)

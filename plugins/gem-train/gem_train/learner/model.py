@@ -11,7 +11,6 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from gem_train.learner.options import TrainOptions
-from gem_train.learner.vision import ImageEncoder, Pictures
 from gem_train.learner.vocabulary import ANSWER, PAD
 
 KeysValues = tuple[Tensor, Tensor]
@@ -57,26 +56,11 @@ class Policy(nn.Module):
         self.norm = nn.LayerNorm(width)
         self.unembedding, self.value = nn.Linear(width, len(texts), bias=False), nn.Linear(width, 1)
         self._initialize(texts)
-        self.vision = ImageEncoder(width)
-        self.pictures = Pictures(len(texts))
-        """The images in what it reads."""
 
     @property
     def blocks(self) -> list[Block]:
         """Its layers, first to last."""
         return cast("list[Block]", list(self.stack))
-
-    def embed(self, tokens: Tensor) -> Tensor:
-        """Return the vectors of words and images, (…, width), without their positions."""
-        if not len(self.pictures):
-            words: Tensor = self.embedding(tokens)
-            return words
-        seen = tokens >= self.pictures.words
-        vectors: Tensor = self.embedding(tokens.masked_fill(seen, PAD))
-        if seen.any():
-            images, index, places = self.pictures.look_up(tokens[seen])
-            vectors = vectors.index_put((seen,), self.vision(images)[index, places])
-        return vectors
 
     def forward(self, tokens: Tensor, prefix: int, rows: Tensor, columns: Tensor) -> Tensor:
         """Return the stream at some places, (places, width).
@@ -88,8 +72,8 @@ class Policy(nn.Module):
             columns: Column of each place, ``prefix`` or above.
         """
         length = tokens.shape[1]
-        shared = self.embed(tokens[:1, :prefix]) + self.positions.weight[:prefix]
-        x = self.embed(tokens[:, prefix:]) + self.positions.weight[prefix:length]
+        shared = self.embedding(tokens[:1, :prefix]) + self.positions.weight[:prefix]
+        x = self.embedding(tokens[:, prefix:]) + self.positions.weight[prefix:length]
         mask = torch.ones(length - prefix, length, dtype=torch.bool, device=tokens.device).tril(prefix)
         *earlier, last = self.blocks
         for block in (*earlier, last):
@@ -161,7 +145,7 @@ class Cache:
         places.clamp_(max=self.layers[0][0].shape[2] - 1)  # of padding
         end, rows = int(places.max()) + 1, torch.arange(len(tokens))
         mask = (torch.arange(end) <= places[..., None])[:, None]
-        x = self.policy.embed(tokens) + self.policy.positions(places)
+        x = self.policy.embedding(tokens) + self.policy.positions(places)
         for block, (keys, values) in zip(self.policy.blocks, self.layers, strict=True):
             query, key, value = block.qkv(x)
             keys[rows[:, None], :, places], values[rows[:, None], :, places] = (

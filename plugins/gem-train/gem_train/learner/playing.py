@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
 
+from gem_core.errors import ArgumentError
 from gem_core.records import Transition
 from gem_core.types import Info, Observation
 from gem_core.vector import VectorEnv
@@ -17,12 +18,8 @@ from gem_train.learner.generation import Sampled, sample
 from gem_train.learner.model import Cache, Policy
 from gem_train.learner.options import TrainOptions
 from gem_train.learner.policy_loss import Floats
-from gem_train.learner.vision import Pictures
 from gem_train.learner.vocabulary import ANSWER, END, Vocabulary
 from gem_train.tokens import TokenBatch
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 
 @dataclass(slots=True)
@@ -169,7 +166,7 @@ class Player:
         self.policy, self.vocabulary, self.options = policy, vocabulary, options
         self._generator = torch.Generator()
         self._cache = Cache(policy, rows)
-        self._ids: dict[str, list[int]] = {}
+        self._encode = lru_cache(50_000)(lambda text: encode(text, vocabulary))
 
     def play(self, vec: VectorEnv, seed: int) -> list[Played]:
         """Play one episode in every slot, and return what each seat lived through, in the order of the slots.
@@ -184,7 +181,6 @@ class Player:
         slots = [Slot(number, *first, feedback) for number, first in enumerate(zip(*vec.reset(), strict=True))]
         self._generator.manual_seed(seed)
         self._cache.lengths.zero_()
-        self.policy.pictures = Pictures(len(self.vocabulary))
         rows: dict[int, int] = {}
         while running := [slot for slot in slots if slot.acting]:
             asked = [seat for slot in running for seat in slot.acting]
@@ -216,19 +212,8 @@ class Player:
             temperature=options.temperature,
         )
         for seat, said, (read, new_row) in zip(seats, drawn, new, strict=True):
-            shown_ids = self._encode(seat.shown)
+            shown_ids = self._encode(text_of(seat.shown))
             seat.turns.append(Turn(seat.shown, shown_ids, read, said, self.vocabulary.decode(said.tokens), new_row))
-
-    def _encode(self, observation: Observation) -> list[int]:
-        """Return the ids of an observation, and the mark of the response after them."""
-        if not isinstance(observation, str):
-            return encode(observation, self.vocabulary, self.policy.pictures)
-        known = self._ids.get(observation)
-        if known is None:
-            if len(self._ids) > 50_000:
-                self._ids.clear()
-            known = self._ids[observation] = encode(observation, self.vocabulary, self.policy.pictures)
-        return known
 
     def _prompt(self, seat: Played) -> list[int]:
         """Return all that the policy would read if the episode of a seat went on."""
@@ -240,7 +225,7 @@ class Player:
 
     def _next_piece(self, seat: Played, length: int) -> tuple[list[int], bool]:
         earlier = [(turn.shown_ids, turn.said.tokens) for turn in seat.turns[-(self.options.memory or 1) :]]
-        return next_piece(self.options, self._encode(seat.shown), earlier, length, view=seat.view)
+        return next_piece(self.options, self._encode(text_of(seat.shown)), earlier, length, view=seat.view)
 
     def bootstrap(self, played: Sequence[Played]) -> Floats:
         """Return the critic's value after the last turn of each episode that was cut off; 0 elsewhere."""
@@ -326,35 +311,25 @@ def values_of(played: Sequence[Played], batch: TokenBatch) -> Floats:
     return values
 
 
-def encode(observation: Observation, vocabulary: Vocabulary, pictures: Pictures) -> list[int]:
-    """Return the ids of an observation, images where they stand in it, and the mark of the response after them."""
-    ids: list[int] = []
-    for is_text, pieces in groupby(_pieces(observation), lambda piece: isinstance(piece, str)):
-        if is_text:
-            ids += vocabulary.encode("".join(map(str, pieces)))
-        else:
-            ids += (number for image in pieces if not isinstance(image, str) for number in pictures.ids(image))
-    return [*ids, ANSWER]
+def encode(text: str, vocabulary: Vocabulary) -> list[int]:
+    """Return the ids of a text, and the mark of the response after them."""
+    return [*vocabulary.encode(text), ANSWER]
 
 
 def text_of(observation: Observation) -> str:
-    """Return the text of any observation: plain, content parts, or chat messages with their roles."""
-    return "".join(piece for piece in _pieces(observation) if isinstance(piece, str))
+    """Return the text of any observation: plain, content parts, or chat messages with their roles.
 
-
-def _pieces(observation: Observation) -> Iterator[str | Image]:
+    Raises:
+        ArgumentError: It holds an image.
+    """
     if isinstance(observation, str):
-        yield observation
-        return
+        return observation
+    text = ""
     for part in observation:
-        if "role" in part:
-            yield f"{part['role']}: "
-            yield from _pieces(part.get("content") or "")
-            yield "\n"
-        elif part.get("type") == "image":
-            yield part["image"]
-        else:
-            yield part.get("text", "")
+        if part.get("type") == "image":
+            raise ArgumentError("gem train reads text, and the observation holds an image; choose another task")
+        text += f"{part['role']}: {text_of(part.get('content') or '')}\n" if "role" in part else part.get("text", "")
+    return text
 
 
 def shown_and_said(transitions: Sequence[Transition], feedback: bool) -> Iterator[tuple[Observation, str]]:

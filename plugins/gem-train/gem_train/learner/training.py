@@ -16,7 +16,6 @@ from gem_train.learner.learning import Learner
 from gem_train.learner.options import TrainOptions
 from gem_train.learner.playing import Played, Player, groups_of, token_batch, values_of
 from gem_train.learner.policy_loss import Floats
-from gem_train.learner.vision import Pictures
 
 
 class Update(NamedTuple):
@@ -62,7 +61,7 @@ class Training:
         seats = max(_seats(env_id, options) for env_id in options.env)
         self._player = Player(policy, learner.vocabulary, options, options.episodes * seats)
         self._thread = self._open.enter_context(ThreadPoolExecutor(1)) if options.overlap else None
-        self._next: Future[tuple[list[Played], Floats, Pictures]] | None = None
+        self._next: Future[tuple[list[Played], Floats]] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -73,7 +72,7 @@ class Training:
     def update(self) -> Update:
         """Play a batch of episodes and learn from it."""
         options, learner = self.options, self.learner
-        played, bootstrap, learner.policy.pictures = self._play()
+        played, bootstrap = self._play()
         groups = groups_of(played)
         batch = token_batch(
             played, groups=groups, learn_cut_off=options.learn_cut_off, failure_reward=options.failure_reward
@@ -93,8 +92,8 @@ class Training:
         with evaluation_envs(options, env_id) as envs:
             return player.play(envs, stable_hash(options.seed, "evaluation", learner.updates))
 
-    def _play(self) -> tuple[list[Played], Floats, Pictures]:
-        """Return a batch, the critic's values after its last turns, and its images; ``overlap`` begins the next."""
+    def _play(self) -> tuple[list[Played], Floats]:
+        """Return a batch, and the critic's values after its last turns; ``overlap`` begins the next."""
         update = self.learner.updates
         if self._thread is None:
             return self._play_update(update)
@@ -104,10 +103,10 @@ class Training:
             self._next = self._thread.submit(self._play_update, update + 1)
         return ready
 
-    def _play_update(self, update: int) -> tuple[list[Played], Floats, Pictures]:
+    def _play_update(self, update: int) -> tuple[list[Played], Floats]:
         self._plan.begin(update)
         played = self._player.play(self._envs, stable_hash(self.options.seed, "sampling", update))
-        return played, self._player.bootstrap(played), self._player.policy.pictures
+        return played, self._player.bootstrap(played)
 
 
 def describe(played: Sequence[Played]) -> dict[str, float]:
