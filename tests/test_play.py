@@ -13,7 +13,7 @@ from toys import Calculator
 
 import gem_core as gem
 from gem_core.records.files import read_episodes
-from gem_core.terminal import BLOCK, observation_text
+from gem_core.terminal import BLOCK
 
 if TYPE_CHECKING:
     from command_calls import Outcome, RunGem
@@ -110,15 +110,6 @@ def test_a_piped_episode_from_beginning_to_end(play) -> None:
     assert ">" not in outcome.out
 
 
-def test_the_end_of_the_input_is_no_error(play) -> None:
-    """What was left unfinished is said, and is in no record."""
-    outcome = play(BOARD, "-o", "a.jsonl", typed="a\nb")
-    assert (outcome.code, outcome.err) == (0, "")
-    assert "Left unfinished after 2 turns, return 0.5; it is not recorded.\n" in outcome.out
-    assert not Path("a.jsonl").exists()
-    assert "Left unfinished after 0 turns, return 0.\n" in play(BOARD).out
-
-
 def test_a_typo_does_not_end_the_episode(play) -> None:
     """It is taken back and asked again, and what the environment said of the end is not shown; --raw sends as it is."""
     outcome = play(STRICT, "-o", "a.jsonl", typed="a\n7\nb\nx\nc\nd\n")
@@ -131,19 +122,11 @@ def test_a_typo_does_not_end_the_episode(play) -> None:
     assert "Lost after 1 turn. Return -1." in play(STRICT, "--raw", typed="a\n").out
 
 
-def test_a_picture_of_the_board_stands_in_the_place_of_its_text(play) -> None:
-    """One of them; where the two cannot be told apart, the observation alone."""
-    assert "Letters:" not in play(BOARD, typed="a\n").out
-    gem.register("play:Image-v0", BoardEnv, image=True)
-    shown = play("play:Image-v0", typed="a\n").out
-    assert ("[image 4x3]" in shown, "[a   ]" in shown) == (True, False)
-
-
 def test_episodes_are_those_of_a_run_with_the_same_seed(play) -> None:
     """So that a person and a model can be compared, start for start."""
     played = play(COUNTDOWN, "-s", "5", "-n", "3", "-t", "2", "-o", "a.jsonl", typed="x\n" * 6)
     assert played.code == 0
-    assert re.search(r"^3 episodes, .*mean return", played.out, re.MULTILINE)
+    assert "3 episodes written to a.jsonl.\n" in played.out
     Path("says_x.py").write_text("def act(observation): return 'x'\n")
     play(COUNTDOWN, "-s", "5", "-n", "3", "-t", "2", "-a", "says_x:act", "-k", "1", "-o", "b.jsonl", command="run")
     assert list(read_episodes("a.jsonl")) == list(read_episodes("b.jsonl"))
@@ -158,7 +141,6 @@ def test_a_data_set_is_played_row_by_row(play) -> None:
     assert "\n1+1\n" in outcome.out
     assert "Lost after 1 turn. Return 0.\n" in outcome.out
     assert "<episode over>" not in outcome.out
-    assert "2 episodes, 1 won, mean return 0.5.\n" in outcome.out
 
 
 def test_answers_over_several_lines(play) -> None:
@@ -168,11 +150,6 @@ def test_answers_over_several_lines(play) -> None:
     (episode,) = read_episodes("a.jsonl")
     answers = ['?\n    """\n!undo', "a\nb", "", "!x", "back\\\\", "stop"]
     assert [str(turn.action) for turn in episode.transitions] == answers
-
-
-def test_an_unfinished_block_is_no_answer(play) -> None:
-    """It may be half of what was meant."""
-    assert "Left unfinished after 0 turns" in play(ECHO, typed=f"{BLOCK}\nstop\n").out
 
 
 def test_wrappers_show_observations_to_the_letter(play) -> None:
@@ -195,8 +172,8 @@ def test_wrappers_show_observations_to_the_letter(play) -> None:
 def test_the_command_that_plays_it_again_has_the_same_options(play) -> None:
     """Without them the same seed would show something else."""
     end = "The same again: gem play play:Board-v0 --seed 1"
-    assert play(BOARD, "--seed", "1").out.endswith(f"{end}\n")
-    assert play(BOARD, "--seed", "1", "-w", "").out.endswith(f"{end} --wrappers ''\n")
+    assert play(BOARD, "--seed", "1", "-w", "").out.endswith(f"{end} -w ''\n")
+    assert re.search(r"again: gem play play:Board-v0 --seed \d+\n", play(BOARD).out)
     options = ("--max-turns", "2", "--wrappers", "concat,episode_stats", "--raw")
     assert play(BOARD, "--seed", "1", *options).out.endswith(f"{end} {' '.join(options)}\n")
 
@@ -205,13 +182,6 @@ def test_control_characters_are_shown_and_not_obeyed(play) -> None:
     """Laid out for a person, text of an environment cannot move the cursor."""
     out = play(ECHO, typed="\x1b]0;title\x07\n").out
     assert "Heard: \\x1b]0;title\\x07" in out
-
-
-def test_input_that_is_no_text_is_an_answer(play) -> None:
-    """Broken bytes are replaced, and half a character can be printed."""
-    outcome = play(ECHO, typed="\udcff\nstop\n")
-    assert outcome.code == 0
-    assert "Heard: �" in outcome.out
 
 
 # Commands.
@@ -261,29 +231,17 @@ def test_undo_where_the_environment_goes_another_way(play) -> None:
     )
 
 
-def test_random_restart_and_next(play) -> None:
-    """A restarted or left episode is in no record; the next one has the next seed."""
-    play(BOARD, "-s", "3", "-o", "a.jsonl", typed="x\n!restart\n!ran\n!ran\n!ran\n!ran\n")
-    (first,) = read_episodes("a.jsonl")
-    assert first.key == "0"
-    assert all(re.fullmatch(r"\\boxed\{[abcd]\}", turn.action) for turn in first.transitions)
-    play(BOARD, "-s", "3", "-o", "b.jsonl", typed="x\n!next\na\nb\nc\nd\n")
-    (second,) = read_episodes("b.jsonl")
-    assert (second.key, second.seed == first.seed) == ("1", False)
-
-
-def test_unknown_and_ambiguous_commands_are_named(play) -> None:
+def test_unknown_commands_are_named(play) -> None:
     """With what there is."""
-    out = play(BOARD, typed="!undoo\n!r\n!\n").out
+    out = play(BOARD, typed="!undoo\n!\n").out
     assert "no command '!undoo'. Did you mean 'undo'? There are: !help, !undo, " in out
-    assert "no command '!r'. There are: !random, !restart, and ?.\n" in out
 
 
 def test_help_shows_keys_rules_and_an_example(play) -> None:
     """Whatever happened since."""
     out = play(BOARD, typed="a\n?\n").out.partition("return 0.25")[2]
     assert "!undo      take the last turn back" in out
-    assert re.search(r"A valid action, for example: \\boxed\{[abcd]\}\n\nWrite a letter\.\n", out)
+    assert "The form of an answer: \\boxed{…}\n\nWrite a letter.\n" in out
     assert "The form of an answer: any text\n\nSay something.\n" in play(ECHO, typed="?\n").out
 
 
@@ -321,34 +279,6 @@ def test_images_are_named_and_written_beside_the_record(play) -> None:
     assert "Write a letter.\n\n[image 4x3]\n" in play("play:Images-v0").out
     (path,) = set(re.findall(r"\[image 4x3 (.+)\]", play("play:Images-v0", "-o", "a.jsonl").out))
     assert Path(path).is_file()
-
-
-def test_messages_are_shown_with_their_roles() -> None:
-    """As the chat views return them."""
-    call = {"id": "1", "function": {"name": "f", "arguments": "{}"}}
-    messages = [
-        {"role": "user", "content": [{"type": "text", "text": "hi"}]},
-        {"role": "assistant", "content": None, "tool_calls": [call]},
-    ]
-    assert observation_text(messages) == (
-        '[user]\nhi\n[assistant]\n\n[{"id": "1", "function": {"name": "f", "arguments": "{}"}}]'
-    )
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ([COUNTDOWN, "-o", "there.jsonl"], "there.jsonl is there already; choose another file, or add --overwrite"),
-        ([], "Missing argument 'ID'"),
-    ],
-)
-def test_what_is_asked_wrongly_gets_one_line_and_exit_code_2(play, arguments: list[str], message: str) -> None:
-    """As the other commands do."""
-    Path("there.jsonl").write_text("{}\n")
-    outcome = play(*arguments)
-    assert (outcome.code, outcome.out) == (2, "")
-    assert outcome.err.count("\n") == 1
-    assert message in outcome.err
 
 
 def test_an_environment_that_fails_ends_play_with_what_was_finished(play) -> None:

@@ -43,7 +43,6 @@ def test_person_has_the_first_seat_against_a_random_agent(play: Play) -> None:
     outcome = play(HEAP, "--seed", "1", "--out", "a.jsonl", typed="1\n" * 9)
     assert (outcome.code, outcome.err) == (0, "")
     assert "Take the last. Your seat is first; the others are second=random.\n" in outcome.out
-    assert f"The same again: gem play {HEAP} --seed 1\n" in outcome.out
     (episode,) = gem.read_episodes("a.jsonl")
     assert (episode.id, episode.seat, episode.agent) == (HEAP, "first", "human")
     assert episode.kwargs == {"seat": "first", "others": {"second": "random"}}
@@ -61,13 +60,6 @@ def test_person_chooses_the_seat_and_the_others(play: Play) -> None:
     assert "You are b. Bids: 0\n" in for_all.out
     assert "Taken back: 3\n" in for_all.out
     assert "You are b. Bids: 0 4 0 0\n" in for_all.out
-
-
-def test_wrappers_go_around_the_seat(play: Play) -> None:
-    """Observations are then shown to the letter."""
-    outcome = play(HEAP, "--seed", "1", "-w", "concat", "-a", "play_takers:one", typed="1\n1\n")
-    assert "──── turn 2 " in outcome.out
-    assert outcome.out.count("The heap has") == 1 + 2 + 3
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +12,6 @@ import pytest
 import gem_core as gem
 from gem_core import JointEpisode
 from gem_core.records import read_records
-from gem_core.registry.specs import ToolSpec
 
 if TYPE_CHECKING:
     from command_calls import RunGem
@@ -83,10 +81,9 @@ def test_one_agent_plays_all_seats(run_gem: RunGem) -> None:
 
 
 def test_agents_sit_where_they_are_told(run_gem: RunGem) -> None:
-    """``SEAT=AGENT`` fixes the seats, and ``--swap-seats`` lets even those change from episode to episode."""
+    """``SEAT=AGENT`` fixes the seats."""
     by_seat = ["--agent", "second=random", "--agent", "first=seat_agents:one"]
     assert at_first_seat(run_gem, *by_seat) == ["seat_agents:one"] * 4
-    assert at_first_seat(run_gem, *by_seat, "--swap-seats") == ["seat_agents:one", "random"] * 2
 
 
 def test_agents_without_seats_change_them(run_gem: RunGem) -> None:
@@ -114,21 +111,6 @@ def test_each_agent_is_made_and_closed_once(run_gem: RunGem, monkeypatch: pytest
     assert calls[-1] == "close"
 
 
-def test_wrappers_and_tools_of_one_seat(run_gem: RunGem, offer: Callable[..., None]) -> None:
-    """``SEAT=NAMES`` are for one seat, names alone for all; a limit of calls goes to the seats that have tools."""
-    offer(ToolSpec(name="note", entry_point="toys:Notebook"))
-    own = ["-w", "second=concat", "-w", "episode_stats", "--tools", "first=note", "--max-tool-uses", "3"]
-    assert run_gem("run", HEAP, "-n", "1", "-s", "1", *own, "-o", "a.jsonl").code == 0
-    (joint,) = played("a.jsonl")
-    assert {seat: [name for name, _ in stack] for seat, stack in dict(joint.wrappers).items()} == {
-        "first": ["tools", "episode_stats"],
-        "second": ["concat", "episode_stats"],
-    }
-    assert (joint.seats["first"].tools, joint.seats["second"].tools) == (["note"], [])
-    assert "no seat 'secnd'. Did you mean 'second'?" in run_gem("run", HEAP, "-w", "secnd=concat").err
-    assert "--max-tool-uses" in run_gem("run", HEAP, "-w", "second=concat", "--max-tool-uses", "3").err
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -136,8 +118,7 @@ def test_wrappers_and_tools_of_one_seat(run_gem: RunGem, offer: Callable[..., No
         ([HEAP, "-a", "frst=random", "-a", "second=random"], f"{HEAP} has no seat 'frst'. Did you mean 'first'?"),
         ([HEAP, "-a", "first=random"], "write --agent first=AGENT --agent second=AGENT"),
         ([HEAP, "-a", "first=random", "-a", "first=random"], "write --agent first=AGENT --agent second=AGENT"),
-        ([HEAP, "-a", "random", "-a", "random", "-a", "random"], "one agent for all or 2 that change"),
-        ([HEAP, "--swap-seats"], "without --swap-seats"),
+        ([HEAP, "-a", "random", "-a", "random", "-a", "random"], "or 2 that change seats"),
         ([ALONE, "-a", "first=random"], f"{ALONE} is registered without seats"),
         ([HEAP, ALONE], f"{ALONE} is for one agent"),
         (
@@ -166,41 +147,13 @@ def test_glob_means_environments_of_one_kind(run_gem: RunGem) -> None:
     assert {row["id"] for row in json.loads(outcome.out)["environments"]} == {HEAP}
 
 
-def test_errors_count_episodes_and_are_run_again(run_gem: RunGem) -> None:
-    """One seat without an answer is one episode with an error, however many seats it had."""
-    Path("down").touch()
-    agents = ["-a", "first=seat_agents:fails", "-a", "second=seat_agents:one"]
-    first = run_gem("run", HEAP, "-n", "3", "-s", "1", *agents, "-o", "a.jsonl")
-    assert first.code == 1
-    assert first.err.startswith(f"gem: 3 episodes had an error; the first: {HEAP}, seed ")
-    assert first.err.endswith(": the server is down\n")
-    Path("down").unlink()
-    again = run_gem("run", HEAP, "-n", "3", *agents, "--resume", "a.jsonl")
-    assert (again.code, again.err) == (0, "gem: 3 episodes with an error or cut off: run again\n")
-    assert "3 episodes in " in again.out
-    assert [joint.error for joint in played("a.jsonl")] == [None] * 3
-
-
 def test_resumed_run_has_the_same_agents(run_gem: RunGem) -> None:
     """Games of others would be counted as finished ones of these."""
     run_gem("run", HEAP, "-n", "2", "-s", "1", "-a", "random", "-a", "seat_agents:one", "-o", "a.jsonl")
     outcome = run_gem("run", HEAP, "-n", "3", "-a", "random", "--resume", "a.jsonl")
     assert (outcome.code, outcome.out, outcome.err.count("\n")) == (2, "", 1)
     assert '["random", "seat_agents:one"], and now it is ["random"]' in outcome.err
-    assert run_gem("run", HEAP, "-n", "3", "--resume", "a.jsonl").code == 2  # the file does not tell who is to begin
     assert len(played("a.jsonl")) == 2
-
-
-def test_a_run_of_several_agents_says_how_to_go_on(run_gem: RunGem) -> None:
-    """The command names every agent."""
-    Path("raising_seat.py").write_text(
-        "def act(observation, context):\n    if context.episode == '4.0': raise ValueError('mine')\n    return 'a'\n"
-    )
-    options = ["-n", "12", "-k", "2", "-a", "first=raising_seat:act", "-a", "second=random", "--swap-seats"]
-    failed = run_gem("run", HEAP, *options, "-s", "5", "-o", "a.jsonl")
-    agents = "--agent first=raising_seat:act --agent second=random --swap-seats"
-    go_on = failed.err.splitlines()[0]
-    assert go_on.endswith(f": gem run {HEAP} {agents} --episodes 12 --num-envs 2 --resume a.jsonl")
 
 
 def test_progress_tells_the_return_of_each(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 
 import gem_core as gem
 from gem_core.cli.tool_options import parsed_choices, wrapper_stack
-from gem_core.errors import ArgumentError, UnknownToolError
+from gem_core.errors import ArgumentError
 from gem_core.records.files import read_episodes
 
 if TYPE_CHECKING:
@@ -64,37 +65,21 @@ def test_tools_are_read(text: str, tools: list[Any]) -> None:
     assert parsed_choices(text, "--wrappers") == tools
 
 
-def test_wrappers_may_be_named_by_module_and_class() -> None:
-    """With and without options."""
-    choices = [("my.views:Mine", {"size": 2}), ("my.views:Other", {})]
-    assert parsed_choices("my.views:Mine:size=2,my.views:Other", "--wrappers") == choices
-
-
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("box:prefix", "--tools: 'prefix' is no option of 'box'; write 'python,search:top_k=2' or JSON"),
-        ("prefix=2", "--tools: 'prefix=2' is no name; write"),
-        ("[", "--tools is no valid JSON: Expecting value"),
-        ("[3]", "--tools must be a list of names, or of names with options"),
-        ('["a", ["b"]]', "--tools must be a list of names, or of names with options"),
-        ('[["b", 3]]', "--tools must be a list of names, or of names with options"),
+        ("box:prefix", "'prefix' is no option of 'box'"),
+        ("prefix=2", "'prefix=2'"),
+        ("[", "--tools is no valid JSON"),
+        ("[3]", "--tools"),
+        ('["a", ["b"]]', "--tools"),
+        ('[["b", 3]]', "--tools"),
     ],
 )
 def test_what_cannot_be_read_is_told_with_an_example(text: str, told: str) -> None:
-    """In one line."""
-    with pytest.raises(ArgumentError) as caught:
+    """With the option's name."""
+    with pytest.raises(ArgumentError, match=re.escape(told)):
         parsed_choices(text, "--tools")
-    assert told in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_unknown_tools_are_told_with_the_nearest() -> None:
-    """A wrapper is no tool."""
-    with pytest.raises(UnknownToolError, match="no tool 'valt'"):
-        wrapper_stack((), ("valt",), None, None)
-    with pytest.raises(UnknownToolError, match="concat"):
-        wrapper_stack((), ("concat",), None, None)
 
 
 def test_the_limit_of_turns_stands_outside_the_tools_and_inside_the_views() -> None:
@@ -116,11 +101,9 @@ def test_run_and_play_pass_options_on_to_wrappers(run_gem: RunGem, monkeypatch: 
     assert next(read_episodes("x.jsonl")).wrappers == [["concat", {"max_turns": 2}], ["episode_stats", {}]]
     refused = run_gem("run", COUNTDOWN, "-n", "1", "-w", "concat:most=2")
     assert refused.err.startswith("gem: wrapper 'concat': got an unexpected keyword argument 'most'.")
-    assert "--wrappers: 'most' is no option of 'concat'" in run_gem("run", COUNTDOWN, "-w", "concat:most").err
     monkeypatch.setattr(sys, "stdin", io.StringIO("7\n"))
     played = run_gem("play", COUNTDOWN, "--seed", "1", "-w", "concat:max_turns=2", "-w", "episode_stats")
     assert played.code == 0
-    assert "--seed 1 --wrappers concat:max_turns=2 --wrappers episode_stats\n" in played.out
 
 
 def test_run_with_tools_records_them(run_gem: RunGem, agent: str) -> None:
@@ -137,18 +120,6 @@ def test_run_with_tools_records_them(run_gem: RunGem, agent: str) -> None:
         assert env.reset(seed=episode.seed)[0] == episode.observation
 
 
-def test_run_with_tools_goes_on(run_gem: RunGem, agent: str) -> None:
-    """The episodes that were left are those of the whole run."""
-    words = ("run", COUNTDOWN, "-a", agent, "--tools", "box:prefix=my_")
-    assert run_gem(*words, "-n", "4", "--seed", "1", "-o", "whole.jsonl").code == 0
-    lines = Path("whole.jsonl").read_text().splitlines(keepends=True)
-    Path("half.jsonl").write_text("".join(lines[:2]))
-    assert run_gem(*words, "-n", "4", "--resume", "half.jsonl").code == 0
-    whole, half = (sorted(read_episodes(name), key=lambda each: each.key) for name in ("whole.jsonl", "half.jsonl"))
-    assert len(whole) == 4
-    assert whole == half
-
-
 @pytest.mark.parametrize("uses", ["-1", "1.5", "many", ""])
 def test_a_limit_of_uses_is_a_number_or_none(run_gem: RunGem, uses: str) -> None:
     """Anything else is a wrong argument."""
@@ -162,7 +133,7 @@ def test_play_with_tools(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(sys, "stdin", io.StringIO("<look>south</look>\n!quit\n"))
     done = run_gem("play", COUNTDOWN, "--seed", "1", "--tools", "box", "--max-tool-uses", "none")
     assert "Output of look:\niron\n" in done.out
-    assert "gem play toy:Countdown-v0 --seed 1 --tools box --max-tool-uses none" in done.out
+    assert "gem play toy:Countdown-v0 --seed 1 --tools box --max-tool-uses none\n" in done.out
 
 
 def test_info_describes_a_tool(run_gem: RunGem) -> None:
@@ -202,15 +173,6 @@ def test_info_tells_the_options_of_what_has_a_name(run_gem: RunGem, name: str, l
     assert [line for line in lines if line not in done.out.splitlines()] == []
 
 
-def test_info_shows_no_docstring_of_a_base_class(run_gem: RunGem, offer: Callable[..., None]) -> None:
-    """A tool or an environment that has none of its own says nothing."""
-    bare = type("Bare", (gem.Tool,), {"name": "bare", "description": "Bare.", "call": lambda *_: "", "__doc__": None})
-    offer(gem.ToolSpec(name="bare", entry_point=bare))
-    out = run_gem("info", "bare").out
-    assert "Bare." in out
-    assert str(gem.Tool.__doc__).strip().partition("\n")[0] not in out
-
-
 @pytest.mark.parametrize(
     ("kind", "name"), [("tools", "vault"), ("wrappers", "concat"), ("agents", "random"), ("backends", "process")]
 )
@@ -220,11 +182,6 @@ def test_list_of_what_has_a_short_name(run_gem: RunGem, kind: str, name: str) ->
     assert done.code == 0
     assert any(line.split()[0] == name for line in done.out.splitlines())
     assert name in [each["name"] for each in json.loads(run_gem("list", kind, "--json").out)]
-
-
-def test_list_of_tools_where_there_are_none(run_gem: RunGem, own_registry: Any) -> None:
-    """It says where to get some."""
-    assert run_gem("list", "tools").out == "No tools are installed. Try 'pip install gem-tools'.\n"
 
 
 def test_info_of_a_misspelt_tool_names_it(run_gem: RunGem) -> None:

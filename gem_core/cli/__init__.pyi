@@ -20,9 +20,9 @@ from .targets import find_env as find_env, find_envs as find_envs
 from .tool_options import (
     AtLeast as AtLeast,
     arguments_option as arguments_option,
-    call_again as call_again,
     env_arguments as env_arguments,
     parsed_choices as parsed_choices,
     stack_options as stack_options,
+    typed_command as typed_command,
     wrapper_stack as wrapper_stack,
 )

@@ -14,7 +14,14 @@ from gem_core.cli.completion import AGENTS, ENVS
 from gem_core.cli.documented import Documented
 from gem_core.cli.run_command import free_path
 from gem_core.cli.targets import find_env
-from gem_core.cli.tool_options import AtLeast, arguments_option, call_again, env_arguments, stack_options, wrapper_stack
+from gem_core.cli.tool_options import (
+    AtLeast,
+    arguments_option,
+    env_arguments,
+    stack_options,
+    typed_command,
+    wrapper_stack,
+)
 from gem_core.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -87,11 +94,9 @@ def command(
       a typo       If the environment cannot read an answer, you answer again. With --raw it counts.
 
     Commands; their first letters are enough, as in !u:
-      ?            the keys, the rules, and an example of a valid action
+      ?            the keys, the form of an answer, and the rules
       !undo        take the last turn back, if a seed and the actions repeat the episode
       !random      play a random valid action
-      !restart     begin this episode again from the same start
-      !next        leave this episode, and begin the next
       !quit        end, as Ctrl-D does
       !!text       send the answer '!text'
 
@@ -129,7 +134,7 @@ def command(
         finally:
             if writer is not None and not writer.count:
                 writer.discard()
-            session.farewell(call_again(ctx, {"seed", "episodes", "out", "overwrite"}, "--seed", str(session.seed)))
+            session.farewell(typed_command(ctx) + ("" if seed is not None else f" --seed {session.seed}"))
 
 
 def _at_one_seat(record: EnvSpec, seat: str | None, agents: tuple[str, ...]) -> tuple[EnvSpec, dict[str, Any]]:

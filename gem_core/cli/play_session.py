@@ -6,19 +6,16 @@ in every deterministic environment and leaves no trace in the record.
 
 from __future__ import annotations
 
-import itertools
 import sys
 import textwrap
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import cast
 
 from gem_core.agents.answer_form import AnswerForm
 from gem_core.cli.layout import counted
-from gem_core.env.base import Env
 from gem_core.env.wrapper import AnyEnv
-from gem_core.errors import ArgumentError, EnvFaultError, SamplingNotSupported
+from gem_core.errors import ArgumentError, EnvFaultError
 from gem_core.records.conversation import split_observation
 from gem_core.records.episode import Episode, Transition
 from gem_core.records.files import EpisodeWriter
@@ -36,8 +33,6 @@ _KEYS = f"""\
   ?          this help
   !undo      take the last turn back
   !random    play a random valid action
-  !restart   begin this episode again
-  !next      leave it, begin the next
   !quit      end, as Ctrl-D does
   Commands may be cut short, as in !u. An answer that begins with ! is typed with two.
   {BLOCK} begins and ends an answer of several lines."""
@@ -45,10 +40,6 @@ _KEYS = f"""\
 
 class _PlayAgain(Exception):
     """Raised to play the present episode again from its start."""
-
-
-class _PlayNext(Exception):
-    """Raised to leave the present episode for the next."""
 
 
 @dataclass(eq=False)
@@ -97,38 +88,25 @@ class PlaySession:
             EndOfInput: There was nothing more to read.
         """
         asks = episodes is None and self._terminal.interactive
-        for self._number in itertools.count(1):
-            start = cast("EpisodeStart", self._starts.draw(0))
-            self._restart()
-            try:
-                episode = self._play_out(start)
-            except _PlayNext:
-                continue
+        while asks or len(self.finished) < (episodes or 1):
+            episode = self._play_one(cast("EpisodeStart", self._starts.draw(0)))
             self._show_ending(episode)
             self.finished.append(episode)
             if self.writer is not None:
                 self.writer.write(episode)
-            if asks:
-                if self._terminal.line("Play another? [Y/n] ").strip().casefold().startswith(("n", "q", "!q")):
-                    return
-            elif len(self.finished) >= (episodes or 1):
+            if asks and self._terminal.line("Play another? [Y/n] ").strip().casefold().startswith(("n", "q", "!q")):
                 return
 
     def farewell(self, again: str) -> None:
-        """Say what was played, what was left unfinished, where the rest was written, and how to play it again."""
-        show, episodes = self._terminal.show, self.finished
+        """Say where the episodes were written, and how to play the same again."""
         if self._context is not None:
-            left = f"{counted(self._context.turn, 'turn')}, return {_return(self._context.transitions)}"
-            show(f"Left unfinished after {left}{'; it is not recorded' if self.writer else ''}.", fg="yellow")
-        if len(episodes) > 1:
-            won = sum(episode.success is True for episode in episodes)
-            mean = sum(episode.episode_return for episode in episodes) / len(episodes)
-            show(f"{len(episodes)} episodes, {won} won, mean return {mean:.4g}.")
-        if self.writer is not None and episodes:
-            show(f"{counted(len(episodes), 'episode')} written to {self.writer.path}.")
-        show(f"The same again: {again}", dim=True)
+            self._terminal.show(f"Left unfinished after {counted(self._context.turn, 'turn')}.", fg="yellow")
+        if self.writer is not None and self.finished:
+            self._terminal.show(f"{counted(len(self.finished), 'episode')} written to {self.writer.path}.")
+        self._terminal.show(f"The same again: {again}", dim=True)
 
-    def _play_out(self, start: EpisodeStart) -> Episode:
+    def _play_one(self, start: EpisodeStart) -> Episode:
+        self._repeated, self._show = (), self._show_opening
         while True:
             try:
                 (episode,) = rollout(self._vector, self, plan=[replace(start.item, seed=start.seed)], seed=self.seed)
@@ -151,9 +129,6 @@ class PlaySession:
             episode.seat, episode.agent = self.seat, "human"
         return episode
 
-    def _restart(self) -> None:
-        self._repeated, self._show = (), self._show_opening
-
     # Turns.
 
     def __call__(self, observation: Observation, context: Context) -> str:
@@ -173,7 +148,7 @@ class PlaySession:
         """Return the answer that was typed, or that a command gives."""
         if not typed.is_command:
             return typed.text if self.raw else self._form(context).around(typed.text, _tool_names(context))
-        match resolve_abbreviation(typed.text, ("help", "undo", "random", "restart", "next", "quit")):
+        match resolve_abbreviation(typed.text, ("help", "undo", "random", "quit")):
             case "help":
                 self._show_help(context)
                 return None
@@ -189,11 +164,6 @@ class PlaySession:
                 self._terminal.show(f"Taken back: {in_one_line(context.transitions[-1].action)}", dim=True)
                 self._repeated, self._show = context.transitions[:-1], self._show_situation
                 raise _PlayAgain
-            case "restart":
-                self._restart()
-                raise _PlayAgain
-            case "next":
-                raise _PlayNext
             case _:
                 raise EndOfInput
 
@@ -204,8 +174,8 @@ class PlaySession:
 
     def _show_opening(self) -> None:
         show, context = self._terminal.show, cast("Context", self._context)
-        show(f"\n{context.env_id} · episode {self._number}", bold=True)
-        if self.summary and self._number == 1:
+        show(f"\n{context.env_id} · episode {len(self.finished) + 1}", bold=True)
+        if self.summary and not self.finished:
             show(self.summary, dim=True)
         form = None if self.raw else self._form(context)
         show(f"An answer is sent as {in_one_line(str(form)) if form else 'you type it'}. Type ? for help.", dim=True)
@@ -236,22 +206,19 @@ class PlaySession:
         self._terminal.show(text, bold=True, fg=colour)
 
     def _show_help(self, context: Context) -> None:
-        """Show the keys, an example of an action, and the first observation, which has the rules."""
-        show, form, task = self._terminal.show, self._form(context), self.env.unwrapped
-        show(_KEYS)
+        """Show the keys, the form of an answer, and the first observation, which has the rules."""
+        self._terminal.show(_KEYS)
         if context.tools:
-            show(f"  Tools: {', '.join(_tool_names(context))}. A call is sent as you type it.")
-        example = f"The form of an answer: {in_one_line(str(form)) if form else 'any text'}"
-        if not (isinstance(task, Env) and task.num_tasks is not None):  # of a data set it may be the right answer
-            with suppress(SamplingNotSupported):
-                example = f"A valid action, for example: {in_one_line(context.sample_random_action())}"
-        show(f"  {example}\n")
+            self._terminal.show(f"  Tools: {', '.join(_tool_names(context))}. A call is sent as you type it.")
+        form = self._form(context)
+        self._terminal.show(f"  The form of an answer: {in_one_line(str(form)) if form else 'any text'}\n")
         first = context.transitions[0].observation if context.transitions else self._observation
         self._terminal.show_plainly(self._text(first))
 
     def _show_result(self, transitions: Sequence[Transition]) -> None:
         turn = transitions[-1]
-        result = f"reward {turn.reward:.4g} · return {_return(transitions)}"
+        total = sum(each.reward for each in transitions)
+        result = f"reward {turn.reward:.4g} · return {total:.4g}"
         colour = "green" if turn.reward > 0 else "red" if turn.reward < 0 else None
         self._terminal.show(
             f"turn {len(transitions)} · {in_one_line(turn.action)} · {result}", fg=colour, bold=not self.exact
@@ -293,10 +260,6 @@ def in_one_line(text: str) -> str:
 
 def _tool_names(context: Context) -> list[str]:
     return [tool["function"]["name"] for tool in context.tools]
-
-
-def _return(transitions: Sequence[Transition]) -> str:
-    return f"{sum(turn.reward for turn in transitions):.4g}"
 
 
 def _was_not_played(turn: Transition) -> bool:

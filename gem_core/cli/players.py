@@ -39,16 +39,13 @@ def several_agents(given: Sequence[str]) -> bool:
     return len(given) > 1 or any(map(_AT_SEAT.fullmatch, given))
 
 
-def load_players(
-    given: Sequence[str], envs: Sequence[EnvSpec], agent_options: Mapping[str, Any], *, swap_seats: bool
-) -> Players:
+def load_players(given: Sequence[str], envs: Sequence[EnvSpec], agent_options: Mapping[str, Any]) -> Players:
     """Return the agents that ``--agent`` names, as they act in some environments.
 
     Args:
         given: The values of ``--agent``.
         envs: The environments of the run.
         agent_options: Keyword arguments for those agents that take them.
-        swap_seats: Let agents that are given by seat change seats.
 
     Raises:
         ArgumentError: The agents do not fit the environments.
@@ -60,7 +57,7 @@ def load_players(
     matches = [_AT_SEAT.fullmatch(each) for each in given]
     alone = next((env for env in envs if not env.seats), None)
     if not any(env.seats for env in envs):
-        if swap_seats or len(given) > 1 or any(matches):
+        if len(given) > 1 or any(matches):
             raise ArgumentError(f"{envs[0].id} is registered without seats, as for one agent: give one --agent AGENT")
         agents = load_agents(given, **agent_options)
         return Players(agents, {"agent": Seated(given[0], agents[given[0]])})
@@ -72,13 +69,12 @@ def load_players(
         form = f"{env.id} has the seats {', '.join(env.seats)}: write {_form(env.seats)}"
         if any(matches) and (len(by_seat) < len(env.seats) or len(by_seat) < len(given)):
             raise ArgumentError(f"--agent names some seats, and not each once; {form}")
-        if not any(matches) and (swap_seats or len(given) not in (1, len(env.seats))):
-            raise ArgumentError(f"{form}, or without --swap-seats one agent for all or {len(env.seats)} that change")
+        if not any(matches) and len(given) not in (1, len(env.seats)):
+            raise ArgumentError(f"{form}, or one agent for all, or {len(env.seats)} that change seats")
     names = [by_seat[seat] for seat in envs[0].seats] if by_seat else list(given)
     agents = load_agents(names, **agent_options)
     seated = [Seated(name, agents[name]) for name in names]
-    stay = by_seat and not swap_seats
-    return Players(agents, {"agents": dict(zip(envs[0].seats, seated, strict=True)) if stay else seated})
+    return Players(agents, {"agents": dict(zip(envs[0].seats, seated, strict=True)) if by_seat else seated})
 
 
 def seats_of_others(given: Sequence[str], seat: str | None, env: EnvSpec) -> tuple[str, dict[str, str]]:

@@ -30,6 +30,10 @@ INTERRUPTED = 130
 class _Commands(Documented, click.Group):
     """Finds subcommands by name: the core's, which load no plugin, then those of plugins."""
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        ctx.obj = list(args)  # for ``typed_command``
+        return super().parse_args(ctx, args)
+
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(_all_commands())
 

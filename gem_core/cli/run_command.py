@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import json
+import os
 import shlex
 import time
-from contextlib import closing, suppress
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
-from click.core import ParameterSource
 
 from gem_core.api import make_vec
 from gem_core.cli import INTERRUPTED
@@ -24,24 +23,19 @@ from gem_core.cli.targets import find_envs
 from gem_core.cli.tool_options import (
     AtLeast,
     arguments_option,
-    call_again,
     env_arguments,
     stack_options,
-    wrapper_stacks,
+    typed_command,
+    wrapper_stack,
 )
-from gem_core.errors import ArgumentError, EpisodeFileError
+from gem_core.errors import ArgumentError
 
 if TYPE_CHECKING:
     from gem_core.cli.players import Players
     from gem_core.cli.resumed_run import ResumedRun
-    from gem_core.making.layers import Wrappers
     from gem_core.records.summary import RunSummary
-    from gem_core.registry.specs import EnvSpec
 
 _DEFAULT_SLOTS = 8
-
-_WHAT_RUNS = ("agents", "swap_seats", "arguments", "max_turns", "wrappers", "tools", "max_tool_uses")
-"""Options that say what runs; see ``_what_runs``."""
 
 
 @click.command("run", cls=Documented)
@@ -57,7 +51,6 @@ _WHAT_RUNS = ("agents", "swap_seats", "arguments", "max_turns", "wrappers", "too
     type=AGENTS,
     help="A built-in agent, openai:MODEL, or MODULE:CALLABLE. Can be repeated for several agents.",
 )
-@click.option("--swap-seats", is_flag=True, help="Let agents given by seat change seats after each episode.")
 @click.option(
     "-n",
     "--episodes",
@@ -72,7 +65,7 @@ _WHAT_RUNS = ("agents", "swap_seats", "arguments", "max_turns", "wrappers", "too
 )
 @click.option("-s", "--seed", type=AtLeast(min=0), help="The same seed gives the same episodes.  [default: 0]")
 @arguments_option
-@stack_options("A view decides what the agent reads. SEAT=NAMES is for one seat, here and in --tools.")
+@stack_options("A view decides what the agent reads.")
 @click.option(
     "--backend",
     default="auto",
@@ -86,14 +79,15 @@ _WHAT_RUNS = ("agents", "swap_seats", "arguments", "max_turns", "wrappers", "too
     metavar="SECONDS",
     help="Longest time of a step or a reset; a longer one is an error of its episode.",
 )
-@click.option("-o", "--out", type=click.Path(dir_okay=False), help="File of episodes.  [default: runs/TIME-SEED.jsonl]")
+@click.option(
+    "-o", "--out", type=click.Path(dir_okay=False), help="File of episodes.  [default: runs/TIME-SEED-PROCESS.jsonl]"
+)
 @click.option("--overwrite", is_flag=True, help="Replace the file if it exists.")
 @click.option(
     "--resume",
     metavar="FILE",
     type=click.Path(dir_okay=False),
-    help="Go on with the run in FILE, with its agents, --set, wrappers and tools; others are refused. Episodes with an "
-    "error are run again.",
+    help="Go on with the run in FILE, which was started with the same options. Episodes with an error are run again.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Write the table as JSON.")
 @agent_options
@@ -102,16 +96,22 @@ def command(
     ctx: click.Context,
     /,
     ids: tuple[str, ...],
+    agents: tuple[str, ...],
     episodes: int | None,
     num_envs: int | None,
     seed: int | None,
+    arguments: tuple[str, ...],
+    max_turns: int | None,
+    wrappers: tuple[str, ...],
+    tools: tuple[str, ...],
+    max_tool_uses: int | str | None,
     backend: str,
     step_timeout: float | None,
     out: str | None,
     overwrite: bool,
     resume: str | None,
     as_json: bool,
-    **options: Any,
+    **agent_options: Any,
 ) -> None:
     """Let an agent act in environments, or several agents together, and record the episodes.
 
@@ -130,7 +130,7 @@ def command(
       gem run ./my_env.py:MyEnv --agent my_module:my_agent
       gem run questions.jsonl --agent openai:gpt-5-mini
       gem run game:TicTacToe-v0 --agent X=openai:gpt-5-mini --agent O=random
-      gem run game:Negotiation-v0 --agent openai:gpt-5-mini --tools first=python --wrappers concat
+      gem run game:Negotiation-v0 --agent openai:gpt-5-mini --wrappers concat
 
     Several agents: one --agent plays all seats against itself. --agent SEAT=AGENT for each seat fixes
     who sits where. As many --agent as seats, without the names of seats, change seats after each episode.
@@ -153,6 +153,7 @@ def command(
     Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
     """
     # Imported here, so that help and the completion of options need not wait for them.
+    from gem_core.cli.players import load_players, several_agents
     from gem_core.cli.report import status_of
     from gem_core.progress import Progress
     from gem_core.records.files import EpisodeWriter
@@ -161,24 +162,25 @@ def command(
     from gem_core.rollouts.agent import close_agent, current_folder_importable, prepare_agent
     from gem_core.rollouts.drivers import default_plan, rollout
 
+    # What runs: environments, agents, wrappers.
     ctx.with_resource(current_folder_importable())  # an agent may import what stands beside it when it first acts
+    given_arguments = env_arguments(arguments)
+    envs = [(spec, {**kwargs, **given_arguments}) for spec, kwargs in find_envs(ids, several=several_agents(agents))]
+    players = load_players(agents, [spec for spec, _ in envs], given(agent_options))
+    stack = wrapper_stack(wrappers, tools, max_tool_uses, max_turns)
     resumed = None if resume is None else _resumed_run(ctx, resume)
-    of_agent = {name: value for name, value in options.items() if name not in _WHAT_RUNS}
-    envs, players, stack = _what_runs(ctx, resumed, given(of_agent))
-    chosen = [(record.id, kwargs) for record, kwargs in envs]
-    run_seed = (seed if resumed is None else resumed.seed) or 0
+    if resumed is not None:
+        resumed.check(players, envs, stack)
+        seed = resumed.seed
     for agent in players.agents.values():
         prepare_agent(agent)  # it says at the start what would fail later
         ctx.call_on_close(partial(close_agent, agent))
+
+    # Play and record.
+    chosen = [(spec.id, kwargs) for spec, kwargs in envs]
+    slots = _slots(players, num_envs, len(chosen), episodes)
     with closing(
-        make_vec(
-            chosen,
-            _slots(players, num_envs, len(chosen), episodes),
-            seed=run_seed,
-            backend=backend,
-            wrappers=stack,
-            step_timeout=step_timeout,
-        )
+        make_vec(chosen, slots, seed=seed or 0, backend=backend, wrappers=stack, step_timeout=step_timeout)
     ) as vector:
         plan = default_plan(vector, episodes)
         summary = RunSummary([env_id for env_id, _ in chosen])
@@ -203,10 +205,11 @@ def command(
                 if not writer.count:
                     writer.discard()
         seconds = time.perf_counter() - started
-    already = None if resumed is None else before
-    _report(summary, seconds, vector.seed, path, already, as_json=as_json)
+
+    # Report.
+    _report(summary, seconds, vector.seed, path, before if resumed else None, as_json=as_json)
     if stopped_by is not None:
-        _stop(ctx, stopped_by, before + writer.count, len(plan), path)
+        _stop(ctx, stopped_by, summary.episodes, len(plan), None if resumed else path)
     ctx.exit(1 if summary.first_error is not None else 0)
 
 
@@ -214,12 +217,15 @@ def _resumed_run(ctx: click.Context, path: str) -> ResumedRun:
     from gem_core.cli.resumed_run import ResumedRun
     from gem_core.records.files import EpisodeWriter
 
-    if ctx.params["seed"] is not None or ctx.params["out"] is not None or ctx.params["overwrite"]:
-        raise ArgumentError("--resume takes seed and file of the run; leave --seed, --out and --overwrite out")
+    if ctx.params["out"] not in (None, path):
+        raise ArgumentError("--resume adds to the file of the run; leave --out out")
     if not Path(path).exists():
         raise ArgumentError(f"--resume: there is no file {path}; a run that begins takes --out")
     # It is locked before it is read, so that nobody adds to it meanwhile.
-    return ResumedRun(ctx.with_resource(EpisodeWriter(path, append=True)))
+    resumed = ResumedRun(ctx.with_resource(EpisodeWriter(path, append=True)))
+    if ctx.params["seed"] not in (None, resumed.seed) and resumed.done:
+        raise ArgumentError(f"--resume: {path} is a run with the seed {resumed.seed}; leave --seed out")
+    return resumed
 
 
 def _report(summary: RunSummary, seconds: float, seed: int, path: Path, already: int | None, *, as_json: bool) -> None:
@@ -241,45 +247,17 @@ def _report(summary: RunSummary, seconds: float, seed: int, path: Path, already:
             echo_line(f"     {frame}", err=True)
 
 
-def _stop(ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path) -> NoReturn:
-    """Say how to resume a run that was stopped, and end with its cause."""
+def _stop(ctx: click.Context, stopped_by: BaseException, count: int, total: int, path: Path | None) -> NoReturn:
+    """Say how to go on with a run that was stopped, whose new file is ``path``, and end with its cause."""
     interrupted = isinstance(stopped_by, KeyboardInterrupt)
     if interrupted:
         click.echo(f"gem: interrupted after {count} of {total} episodes", err=True)
     if count:
-        again = call_again(ctx, {"seed", "out", "overwrite", "resume"})
-        click.echo(f"gem: go on with: {again} --resume {shlex.quote(str(path))}", err=True)
+        more = "" if path is None else f" --resume {shlex.quote(str(path))}"
+        click.echo(f"gem: go on with: {typed_command(ctx)}{more}", err=True)
     if interrupted:
         ctx.exit(INTERRUPTED)
     raise stopped_by
-
-
-def _what_runs(
-    ctx: click.Context, resumed: ResumedRun | None, agent_options: dict[str, Any]
-) -> tuple[list[tuple[EnvSpec, dict[str, Any]]], Players, Wrappers]:
-    """Return environments with their arguments, agents and wrappers, as said, or as the file of a resumed run says."""
-    from gem_core.cli.players import load_players, several_agents
-
-    said = {name for name in ctx.params if ctx.get_parameter_source(name) is not ParameterSource.DEFAULT}
-    words = ctx.params
-    agents: tuple[str, ...] = words["agents"]
-    if resumed is not None and "agents" not in said:
-        agents = resumed.agents() or agents
-    found = find_envs(words["ids"], several=several_agents(agents))
-    arguments = env_arguments(words["arguments"])
-    if resumed is not None and "arguments" not in said:
-        arguments = resumed.arguments(found)
-    envs = [(record, {**kwargs, **arguments}) for record, kwargs in found]
-    players = load_players(agents, [record for record, _ in envs], agent_options, swap_seats=words["swap_seats"])
-    stack: Wrappers
-    if resumed is not None and not said & {"wrappers", "tools", "max_tool_uses", "max_turns"}:
-        stack = resumed.wrappers()
-    else:
-        limits = words["max_tool_uses"], words["max_turns"]
-        stack = wrapper_stacks(words["wrappers"], words["tools"], *limits, envs[0][0])
-    if resumed is not None:
-        resumed.check(players, envs, stack)
-    return envs, players, stack
 
 
 def _slots(players: Players, num_envs: int | None, ids: int, episodes: int | None) -> int:
@@ -309,16 +287,5 @@ def free_path(out: str, overwrite: bool) -> Path:
 
 
 def _new_path(seed: int) -> Path:
-    """Make an empty file, so that two runs with one seed in the same second do not share it."""
-    folder, stem = Path("runs"), f"{time.strftime('%Y%m%d-%H%M%S')}-{seed}"
-    names = itertools.chain([f"{stem}.jsonl"], (f"{stem}-{number}.jsonl" for number in itertools.count(2)))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        while True:
-            path = folder / next(names)
-            with suppress(FileExistsError):
-                path.open("x").close()
-                return path
-    except OSError as error:
-        reason = error.strerror or error
-        raise EpisodeFileError(f"cannot write in {folder}: {reason}; name another file by --out") from error
+    """Return the path of a file of its own in ``runs``, also if another run begins in the same second."""
+    return Path("runs", f"{time.strftime('%Y%m%d-%H%M%S')}-{seed}-{os.getpid()}.jsonl")

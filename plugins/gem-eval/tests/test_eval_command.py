@@ -44,7 +44,7 @@ def test_the_scores_are_printed_as_the_table_of_gem_run() -> None:
     assert lines[1].split()[:4] == [GAME, "random", "20", "10"]
     assert lines[-1] == "The record is in run; look at it with: gem view run"
     command = open_run("run").info["command"].split(" ", 1)[1]
-    assert command == f"eval {GAME} --model random --epochs 2 --episodes 10 --out run"
+    assert command == f"eval {GAME} --model random -n 10 -e 2 --out run"
 
 
 def test_episodes_count_for_each_id_and_are_10_by_default() -> None:

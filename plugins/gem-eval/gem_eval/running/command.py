@@ -15,13 +15,13 @@ from gem_core.cli import (
     Words,
     agent_options,
     arguments_option,
-    call_again,
     counted,
     env_arguments,
     env_ids,
     given,
     parsed_choices,
     stack_options,
+    typed_command,
 )
 from gem_core.errors import ArgumentError
 
@@ -174,7 +174,7 @@ def command(
         limits=limits,
         retry_errors=_causes(retry_errors),
         max_concurrency=num_envs,
-        command=shlex.join(without_secrets(shlex.split(call_again(ctx, {"new", "go_on_anyway", "retry_errors"})))),
+        command=shlex.join(without_secrets(shlex.split(typed_command(ctx)))),
         **settings,
     )
     total, before = session.plan.episodes, session.already_done()
