@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import gc
 import gzip
 import json
 import os
 import pickle
-import re
 import subprocess
 import sys
-import weakref
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -57,51 +54,44 @@ def doubled(row: Any) -> dict[str, Any]:
 
 def write_as(kind: str, folder: Path) -> Path:
     """Write ROWS in one of the forms."""
-    path = folder / f"sums{kind}"
-    if kind == ".jsonl":
-        path.write_text(LINES, encoding="utf-8")
-    elif kind == ".jsonl.gz":
-        path.write_bytes(gzip.compress(LINES.encode()))
-    elif kind == ".json":
-        path.write_text(json.dumps(ROWS, indent=1), encoding="utf-8")
-    elif kind.startswith((".csv", ".tsv")):
-        mark = "\t" if kind == ".tsv" else ","
-        text = mark.join(ROWS[0]) + "\r\n" + "".join(mark.join(map(str, row.values())) + "\r\n" for row in ROWS)
-        content = text.encode("utf-8-sig")
-        path.write_bytes(gzip.compress(content) if kind == ".csv.gz" else content)
-    elif kind == ".parquet":
-        datasets.Dataset.from_list(ROWS).to_parquet(path)
-    elif kind == "-saved":
-        datasets.Dataset.from_list(ROWS).save_to_disk(path)
-    elif kind == "-folder":
-        path.mkdir()
-        datasets.Dataset.from_list(ROWS).to_parquet(path / "train-00000-of-00001.parquet")
+    path = folder / (f"sums[1]{kind}" if kind == ".parquet" else f"sums{kind}")
+    whole = datasets.Dataset.from_list(ROWS)
+    match kind:
+        case ".jsonl":
+            path.write_text(LINES, encoding="utf-8")
+        case ".jsonl.gz":
+            path.write_bytes(gzip.compress(LINES.encode()))
+        case ".json":
+            path.write_text(json.dumps(ROWS, indent=1), encoding="utf-8")
+        case ".parquet":
+            whole.to_parquet(path)
+        case "-saved":
+            whole.save_to_disk(path)
+        case "-folder":
+            path.mkdir()
+            whole.to_parquet(path / "train-00000-of-00001.parquet")
     return path
 
 
-FORMS = [".jsonl", ".jsonl.gz", ".json", ".csv", ".csv.gz", ".tsv", ".parquet", "-saved", "-folder"]
-
-
-@pytest.mark.parametrize("kind", FORMS)
+@pytest.mark.parametrize("kind", [".jsonl", ".jsonl.gz", ".json", ".parquet", "-saved", "-folder"])
 def test_every_form_gives_the_same_rows(kind: str, tmp_path: Path) -> None:
-    """A path in any form that is known; CSV knows only text."""
+    """They can be sliced, and go to other processes."""
     rows = load_rows(str(write_as(kind, tmp_path)))
-    is_text = kind.startswith((".csv", ".tsv"))
-    expected = [{**row, "level": str(row["level"])} for row in ROWS] if is_text else ROWS
-    assert [dict(row) for row in rows] == expected
-    assert (dict(rows[-1]), [dict(row) for row in rows[2:4]]) == (expected[-1], expected[2:4])
-    with pytest.raises(IndexError):
-        rows[10]
-    assert [dict(row) for row in pickle.loads(pickle.dumps(rows))] == expected
+    assert list(rows) == ROWS
+    assert (rows[-1], list(rows[2:4])) == (ROWS[-1], ROWS[2:4])
+    assert list(pickle.loads(pickle.dumps(rows))) == ROWS
 
 
-def test_values_of_csv_stay_as_they_are_written(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "mark"), [("a.csv", ","), ("a.tsv", "\t"), ("a.csv.gz", ",")])
+def test_values_of_csv_stay_as_they_are_written(tmp_path: Path, name: str, mark: str) -> None:
     """An answer 007, 1.50, NA or an empty one is a text, and no number or nothing; an index of pandas is left out."""
-    path = tmp_path / "sums[1].csv"
-    path.write_text(f",question,answer\n0,a,007\n1,b,1.50\n\n2,c,NA\n3,d,\n4,{'e' * 200_000}\n", encoding="utf-8")
-    assert [row["answer"] for row in load_rows(path)] == ["007", "1.50", "NA", "", ""]
-    path.write_text('question,answer\n"a, ""b""\nc",1,\n', encoding="utf-8")
-    assert list(load_rows(path)) == [{"question": 'a, "b"\nc', "answer": "1"}]
+    text = ",question,answer\n0,a,007\n1,b,1.50\n\n2,c,NA\n3,d,\n".replace(",", mark).encode("utf-8-sig")
+    path = tmp_path / name
+    path.write_bytes(gzip.compress(text) if name.endswith(".gz") else text)
+    assert [tuple(row.items()) for row in load_rows(path)] == [
+        (("question", question), ("answer", answer))
+        for question, answer in zip("abcd", ["007", "1.50", "NA", ""], strict=True)
+    ]
 
 
 @pytest.mark.parametrize("name", ["sums.json", "sums.jsonl"])
@@ -113,24 +103,11 @@ def test_json_that_holds_lines_is_read_as_lines(tmp_path: Path, name: str) -> No
 
 
 def test_rows_may_be_a_dataset_with_chosen_rows() -> None:
-    """A selection or shuffle of the user's holds, and images and the like are decoded by the library."""
+    """A selection or shuffle of the user's holds, and its transform."""
     whole = datasets.Dataset.from_list(ROWS)
-    chosen = load_rows(whole.select([7, 3]))
-    assert [row["answer"] for row in chosen] == ["8", "4"]
+    assert [row["answer"] for row in load_rows(whole.select([7, 3]))[:2]] == ["8", "4"]
     upper = load_rows(whole.with_transform(lambda batch: {"problem": [text.upper() for text in batch["problem"]]}))
     assert dict(upper[0]) == {"problem": "0 + 1 = ?".upper()}
-
-
-def test_images_are_decoded() -> None:
-    """A column of images gives images of Pillow, and only when it is read."""
-    from PIL import Image
-
-    pictures = datasets.Dataset.from_dict(
-        {"images": [[Image.new("RGB", (2, 2), "red")]]},
-        features=datasets.Features({"images": datasets.List(datasets.Image())}),
-    )
-    (image,) = load_rows(pictures)[0]["images"]
-    assert (image.size, image.getpixel((0, 0))) == ((2, 2), (255, 0, 0))
 
 
 def test_split_of_several_must_be_chosen(tmp_path: Path) -> None:
@@ -145,23 +122,15 @@ def test_split_of_several_must_be_chosen(tmp_path: Path) -> None:
     sources: list[Any] = [tmp_path / "saved", str(tmp_path / "files"), both]
     for source in sources:
         assert len(load_rows(source, split="test")) == 2
-        with pytest.raises(DatasetError, match="'train', 'test'"):
-            load_rows(source)
-        with pytest.raises(DatasetError, match=r"'tets' .*Did you mean 'test'\? Splits: 'train', 'test'"):
-            load_rows(source, split="tets")
+        for wrong in (None, "tets"):
+            with pytest.raises(DatasetError, match="'train', 'test'"):
+                load_rows(source, split=wrong)
 
 
 @pytest.mark.parametrize(
-    ("part", "expected"),
-    [
-        ("train", range(10)),
-        ("train[:3]", range(3)),
-        ("train[-2:]", range(8, 10)),
-        ("[2:50%]", range(2, 5)),
-        ("train[10%:30%]", range(1, 3)),
-    ],
+    ("part", "expected"), [("train", range(10)), ("train[-2:]", [8, 9]), ("train[:30%]", [0, 1, 2])]
 )
-def test_part_of_a_split(lines: Path, part: str, expected: range) -> None:
+def test_part_of_a_split(lines: Path, part: str, expected: Any) -> None:
     """A slice by numbers or per cent, as ``datasets`` writes it."""
     assert list(load_rows(lines, split=part)) == [ROWS[index] for index in expected]
 
@@ -173,36 +142,33 @@ def test_filter_and_map_by_function_and_by_name(lines: Path) -> None:
     assert list(load_rows(ROWS, row_filter=f"{__name__}:is_easy")) == ROWS[::3]
     with pytest.raises(EntryPointError, match="'is_eazy'"):
         load_rows(lines, row_filter=f"{__name__}:is_eazy")
-    with pytest.raises(ArgumentError, match=r"row_filter must .* not 3"):
+    with pytest.raises(ArgumentError, match=r"row_filter .* not 3"):
         load_rows(lines, row_filter=3)  # type: ignore[arg-type]
 
 
 def test_filter_or_map_that_fails_names_the_row(lines: Path) -> None:
-    """With what it raised, and the columns there are."""
-    with pytest.raises(DatasetError, match=r"row_filter .* row 0: KeyError: 'lvl'\. Columns: 'problem', 'answer'"):
+    """With what it raised, and the row."""
+    with pytest.raises(DatasetError, match=r"row_filter .* row 0: KeyError: 'lvl'.*'problem'"):
         load_rows(lines, row_filter=lambda row: row["lvl"])
-    with pytest.raises(DatasetError, match=r"map_row must .* NoneType"):
+    with pytest.raises(DatasetError, match=r"map_row .* NoneType"):
         load_rows(lines, map_row=lambda row: None)[0]
-    with pytest.raises(DatasetError, match=r"none of the 10 rows of '.*sums\.jsonl'"):
+    with pytest.raises(DatasetError, match="none of the 10 rows"):
         load_rows(lines, row_filter=lambda row: False)
 
 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.jsonl", b'{"a": 1}\n{"a": \n', "a.jsonl, line 2 is not JSON"),
-        ("a.jsonl", b'{"a": 1}\n[1, 2]\n', "a.jsonl, line 2: a row must be an object"),
-        ("a.json", b'{"a": ' * 100_000 + b"1" + b"}" * 100_000, "line 1 is not JSON"),
-        ("a.jsonl", b'{"a": ' + b"1" * 5000 + b"}", "line 1 is not JSON"),
-        ("a.jsonl.gz", b"not gzip", "a.jsonl.gz cannot be read"),
-        ("a.json", b"{", "is not JSON"),
-        ("a.json", b"[1]", "a.json, row 0: a row must be an object"),
-        ("a.csv", b'a,b\n"1,2\n', "a.csv, line 2: unexpected end of data"),
-        ("a.csv", b"a,b\n1,2\n1,2,3\n", "a.csv, line 3: it has more values"),
-        ("a.csv", b"a,b,a\n1,2,3\n", "a.csv, line 1: two columns have one name"),
-        ("a.csv", b"a,b\n\xff,2\n", "can't decode byte 0xff"),
-        ("a.parquet", b"garbage", "a.parquet' cannot be loaded"),
-        ("a.xlsx", b"", "known are: .jsonl, .ndjson, .json, .csv, .tsv, .parquet"),
+        ("a.jsonl", b'{"a": 1}\n{"a": \n', "a.jsonl, line 2"),
+        ("a.jsonl", b'{"a": 1}\n[1, 2]\n', "a.jsonl, row 1"),
+        ("a.json", b'{"a": ' * 100_000 + b"1" + b"}" * 100_000, "a.json, line 1"),
+        ("a.json", b"[1]", "a.json, row 0"),
+        ("a.jsonl.gz", b"not gzip", "a.jsonl.gz'"),
+        ("a.csv", b'a,b\n"1,2\n', "inside string"),
+        ("a.csv", b"a,b\n1,2\n1,2,3\n", "line 3, saw 3"),
+        ("a.csv", b"a,b\n\xff,2\n", "0xff"),
+        ("a.parquet", b"garbage", "a.parquet'"),
+        ("a.xlsx", b"", ".jsonl, .ndjson, .json, .csv, .tsv, .parquet"),
     ],
 )
 def test_garbled_file_is_an_error_that_says_where(name: str, content: bytes, message: str, tmp_path: Path) -> None:
@@ -214,12 +180,10 @@ def test_garbled_file_is_an_error_that_says_where(name: str, content: bytes, mes
     assert message in str(caught.value)
 
 
-@given(content=st.binary(max_size=200), name=st.sampled_from(["a.jsonl", "a.json", "a.jsonl.gz", "a.csv"]))
-def test_any_bytes_give_rows_or_an_error_of_ours(
-    content: bytes, name: str, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    """Whatever a file holds."""
-    path = tmp_path_factory.mktemp("any") / name
+@given(content=st.binary(max_size=200))
+def test_any_bytes_give_rows_or_an_error_of_ours(content: bytes, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Whatever a file of JSON holds."""
+    path = tmp_path_factory.mktemp("any") / "a.jsonl"
     path.write_bytes(content)
     try:
         rows = load_rows(path)
@@ -239,20 +203,14 @@ def test_json_lines_come_back_the_same(rows: list[dict[str, Any]], tmp_path_fact
     assert list(load_rows(path)) == rows
 
 
-def test_unknown_path_names_what_lies_there(lines: Path) -> None:
+@pytest.mark.parametrize("name", ["wrong.jsonl", "a/b/c", f"a/b/{'c' * 5000}"])
+def test_unknown_path_names_what_lies_there(name: str, lines: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A name that is none of a hub either."""
-    with pytest.raises(DatasetError, match=r"wrong\.jsonl'.* there is: sums\.jsonl"):
-        load_rows(str(lines.with_name("wrong.jsonl")))
-    for name in "a" * 5000, "":
-        with pytest.raises(DatasetError):
-            load_rows(name)
-
-
-@pytest.mark.parametrize("split", ["train[a:9]", "train[5]", "train[1:2:3]", "train[", "]"])
-def test_part_of_a_split_that_cannot_be_read_is_named(split: str, lines: Path) -> None:
-    """With the form that it has."""
-    with pytest.raises(ArgumentError, match=re.escape(f"'train[:100]' or 'train[10%:20%]', not {split!r}")):
-        load_rows(lines, split=split)
+    monkeypatch.chdir(lines.parent)
+    with pytest.raises(DatasetError, match=r"sums\.jsonl"):
+        load_rows(name)
+    with pytest.raises(DatasetError, match="no file or folder ''"):
+        load_rows("")
 
 
 def test_hub_that_is_not_reached_is_an_error_with_advice() -> None:
@@ -260,22 +218,8 @@ def test_hub_that_is_not_reached_is_an_error_with_advice() -> None:
     code = "import gem_core as gem; gem.DatasetEnv(dataset_name='nobody/nothing-of-this-name')"
     env = {**os.environ, "HF_HUB_OFFLINE": "1"}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=120)
-    assert "DatasetError: the data set 'nobody/nothing-of-this-name' is not in the cache" in done.stderr
-
-
-def test_hub_that_failed_is_not_asked_again_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its library tries for half a minute, and each of many environments would."""
-    asked = []
-
-    def unreachable(name: str, *_: object, **__: object) -> None:
-        asked.append(name)
-        raise ConnectionError("no route to host")
-
-    monkeypatch.setattr(datasets, "load_dataset", unreachable)
-    for _ in range(64):
-        with pytest.raises(DatasetError, match=r"the hub does not answer \(ConnectionError: no route to host\)"):
-            load_rows("nobody/unreachable")
-    assert asked == ["nobody/unreachable"]
+    assert "DatasetError: the data set 'nobody/nothing-of-this-name'" in done.stderr
+    assert "go online once" in done.stderr
 
 
 def test_file_that_a_package_ships(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -285,20 +229,20 @@ def test_file_that_a_package_ships(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     (tmp_path / "shipping" / "data" / "sums.jsonl").write_text(LINES, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     assert list(load_rows("shipping:data/sums.jsonl")) == ROWS
-    with pytest.raises(DatasetError, match=r"shipping/data' there is: sums\.jsonl"):
+    with pytest.raises(DatasetError, match=r"sums\.jsonl"):
         load_rows("shipping:data/sum.jsonl")
-    with pytest.raises(DatasetError, match="there is no package 'shiping'"):
+    with pytest.raises(DatasetError, match="'shiping'"):
         load_rows("shiping:data/sums.jsonl")
 
 
 def test_without_the_library_the_error_names_the_command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Files of text need no more than the core."""
+    """JSON needs no more than the core."""
     monkeypatch.setitem(sys.modules, "datasets", None)
-    for kind in ".jsonl", ".json", ".csv.gz", ".tsv":
-        assert len(load_rows(write_as(kind, tmp_path))) == 10
-    (tmp_path / "sums.parquet").touch()
+    (tmp_path / "sums.json").write_text(json.dumps(ROWS), encoding="utf-8")
+    assert len(load_rows(tmp_path / "sums.json")) == 10
+    (tmp_path / "sums.csv").touch()
     with pytest.raises(MissingRequirementError, match=r"pip install 'gem-core\[datasets\]'"):
-        load_rows(tmp_path / "sums.parquet")
+        load_rows(tmp_path / "sums.csv")
 
 
 def test_environments_share_their_rows(lines: Path) -> None:
@@ -308,26 +252,11 @@ def test_environments_share_their_rows(lines: Path) -> None:
         first, second = (gem.DatasetEnv(dataset_name=path, question_key="problem", row_filter=is_easy) for _ in "12")
         assert first.rows is second.rows
         assert gem.DatasetEnv(dataset_name=path, question_key="problem").rows is load_rows(path)
-    given = datasets.Dataset.from_list(ROWS)
-    assert load_rows(given, row_filter=is_easy) is load_rows(given, row_filter=is_easy)
     before, was = load_rows(parquet), load_rows(lines)
     lines.write_text(LINES + json.dumps(ROWS[0]) + "\n", encoding="utf-8")
     datasets.Dataset.from_list(ROWS[:3]).to_parquet(parquet)
     assert (len(load_rows(lines)), len(load_rows(parquet))) == (11, 3)
-    assert [dict(row) for row in before] == list(was) == ROWS
-
-
-def test_rows_that_nobody_uses_are_given_up(lines: Path, tmp_path: Path) -> None:
-    """But for a few, for the environments that are made next."""
-    kept = weakref.ref(load_rows(lines))
-    gc.collect()
-    assert kept() is load_rows(lines)
-    for number in range(8):
-        path = tmp_path / f"{number}.jsonl"
-        path.write_text(LINES, encoding="utf-8")
-        load_rows(path)
-    gc.collect()
-    assert kept() is None
+    assert list(before) == list(was) == ROWS
 
 
 def test_environments_of_many_threads_load_a_file_once(lines: Path) -> None:
@@ -344,14 +273,6 @@ def test_environments_of_many_threads_load_a_file_once(lines: Path) -> None:
     assert len(seen) == 10
 
 
-def test_folder_of_several_data_sets_says_to_give_one_of_its_files(tmp_path: Path) -> None:
-    """Files with other columns are no one data set."""
-    (tmp_path / "a.jsonl").write_text('{"x": 1}\n', encoding="utf-8")
-    (tmp_path / "b.jsonl").write_text('{"y": {"z": [1]}}\n', encoding="utf-8")
-    with pytest.raises(DatasetError, match=r"give one of them: a\.jsonl, b\.jsonl"):
-        load_rows(tmp_path)
-
-
 def test_registered_file_is_made_and_planned(lines: Path, own_registry: Registry) -> None:
     """One call of ``register``; a covering plan asks each row once, in worker processes too."""
     gem.register(
@@ -364,29 +285,21 @@ def test_registered_file_is_made_and_planned(lines: Path, own_registry: Registry
     )
     env = gem.make("toy:File")
     assert env.reset(options={"index": 1})[0] == "Compute 3 + 1 = ? (level 0) in \\boxed{answer}, {other}."
-    for backend in ("sync", "process"):
-        vector = gem.make_vec("toy:File", 2, backend=backend, seed=0)
-        try:
-            episodes = list(gem.rollout(vector, lambda observation: f"\\boxed{{{int(observation.split()[1]) + 1}}}"))
-        finally:
-            vector.close()
-        assert sorted(episode.info["task_id"] for episode in episodes) == ["0", "1", "2", "3"]
-        assert [episode.transitions[-1].reward for episode in episodes] == [1.0] * 4
-
-
-@pytest.mark.parametrize("given", [{}, {"rows": ROWS, "dataset_name": "x"}])
-def test_rows_or_a_name_must_be_given(given: dict[str, Any]) -> None:
-    """Exactly one of them."""
-    with pytest.raises(ArgumentError, match="rows or dataset_name"):
-        gem.DatasetEnv(**given)
+    with gem.make_vec("toy:File", 2, backend="process", seed=0) as vector:
+        episodes = list(gem.rollout(vector, lambda observation: f"\\boxed{{{int(observation.split()[1]) + 1}}}"))
+    assert sorted(episode.info["task_id"] for episode in episodes) == ["0", "1", "2", "3"]
+    assert [episode.transitions[-1].reward for episode in episodes] == [1.0] * 4
 
 
 def test_choice_that_would_be_ignored_is_refused(lines: Path) -> None:
     """Of a split of rows that are given, and of a subset or a version of a file."""
     for option in ("config", "revision"):
-        with pytest.raises(ArgumentError, match=f"{option} .*sums.jsonl"):
+        with pytest.raises(ArgumentError, match=option):
             load_rows(lines, **{option: "main"})  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="split "):
+    with pytest.raises(ArgumentError, match="split"):
         load_rows(ROWS, split="test")
     with pytest.raises(DatasetError, match="'train'"):
         load_rows(lines, split="test")
+    for rows, name in ((None, None), (ROWS, "x")):
+        with pytest.raises(ArgumentError, match="rows or dataset_name"):
+            gem.DatasetEnv(rows, dataset_name=name)

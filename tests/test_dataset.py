@@ -17,8 +17,9 @@ ROWS = [{"question": f"{number}+1?", "answer": str(number + 1), "name": f"row-{n
 def test_row_is_chosen_by_index() -> None:
     """``options={"index": i}`` asks row i and names it."""
     env = gem.DatasetEnv(ROWS, id_key="name")
-    observation, info = env.reset(options={"index": 3})
-    assert (observation, info) == ("3+1?", {"task_id": "row-3", "index": 3})
+    for index in (3, np.int64(3)):  # as samplers give it
+        observation, info = env.reset(options={"index": index})
+        assert (observation, info, type(info["index"])) == ("3+1?", {"task_id": "row-3", "index": 3}, int)
 
 
 def test_row_is_drawn_by_seed_without_options() -> None:
@@ -77,7 +78,7 @@ def test_a_grader_that_fails_is_an_error_and_no_reward() -> None:
 @pytest.mark.parametrize("index", [-1, 5, 1.0, "1", True, None])
 def test_index_out_of_range_is_refused(index: object) -> None:
     """The error names the range."""
-    with pytest.raises(ArgumentError, match=r"options\['index'\] must be from 0 to 4"):
+    with pytest.raises(ArgumentError, match="from 0 to 4"):
         gem.DatasetEnv(ROWS).reset(options={"index": index})
 
 
@@ -90,13 +91,13 @@ def test_unknown_option_is_refused() -> None:
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        ([], "is empty"),
-        ([{"q": "a", "answer": "b"}], "no column 'question' in the data set. Columns: 'q', 'answer'"),
-        ([{"question": "a", "answers": "b"}], "no column 'answer' in the data set. Did you mean 'answers'?"),
+        ([], "no row"),
+        ([{"q": "a", "answer": "b"}], "Columns: 'q', 'answer'"),
+        ([{"question": "a", "answers": "b"}], "Did you mean 'answers'?"),
         ([3], "int"),
         (3, "int"),
-        ({}, "is empty"),
-        ({"a": 1}, "dict"),
+        ({}, "no row"),
+        ({"a": 1}, "int"),
     ],
 )
 def test_rows_that_cannot_be_asked_are_refused(rows: Any, message: str) -> None:
@@ -120,12 +121,6 @@ def test_sampled_action_has_the_right_form() -> None:
     env = gem.DatasetEnv(ROWS)
     env.reset(seed=0)
     assert gem.extract_last_boxed_answer(env.sample_random_action()) in {row["answer"] for row in ROWS}
-
-
-def test_index_may_be_a_whole_number_of_numpy() -> None:
-    """As samplers give it; ``info`` holds a plain one."""
-    info = gem.DatasetEnv([{"question": "a", "answer": "b"}] * 3).reset(options={"index": np.int64(2)})[1]
-    assert (info["index"], type(info["index"])) == (2, int)
 
 
 def test_fork_grades_against_the_same_row() -> None:
@@ -154,5 +149,5 @@ def test_later_row_without_a_column_is_an_error_at_its_reset() -> None:
     """Columns of JSON lines may differ from row to row."""
     env = gem.DatasetEnv([{"question": "a", "answer": "b"}, {"question": "a"}])
     env.reset(options={"index": 0})
-    with pytest.raises(DatasetError, match=r"no column 'answer' in row 1\..* 'question'"):
+    with pytest.raises(DatasetError, match=r"'answer' in row 1 .*'question'"):
         env.reset(options={"index": 1})

@@ -115,9 +115,9 @@ def _imported(name: str, owner: str) -> ModuleType:
 
 
 def _is_data(path: Path) -> bool:
-    from gem_core.data.files import KNOWN_ENDINGS, ending  # here, so that completion need not wait for it
+    from gem_core.data.rows import ENDINGS, ending  # here, so that completion need not wait for it
 
-    return ending(path) in KNOWN_ENDINGS
+    return ending(path) in ENDINGS
 
 
 def _env_of_questions(path: Path) -> EnvSpec:

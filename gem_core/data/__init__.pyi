@@ -6,5 +6,4 @@ from .dataset import (
     Grade as Grade,
     chosen_index as chosen_index,
 )
-from .loading import RowFunction as RowFunction, RowSource as RowSource, load_rows as load_rows
-from .rows import Row as Row, Rows as Rows
+from .rows import Row as Row, RowFunction as RowFunction, RowSource as RowSource, load_rows as load_rows

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypedDict, cast
 
-from gem_core.data.loading import RowFunction, RowSource, load_rows
-from gem_core.data.rows import Row
+from gem_core.data.rows import Row, RowFunction, RowSource, load_rows
 from gem_core.env.base import Env
 from gem_core.errors import ArgumentError, DatasetError, GradingError
 from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
@@ -123,9 +122,16 @@ class DatasetEnv(Env):
         self.id_key = id_key
         self.prompt_template = prompt_template
         self._grade = load_entry_point(grade, "grade") if grade is not None else None
-        self._index = 0
-        self._row = self._checked_first_row("" if dataset_name is None else f" {str(dataset_name)!r}")
-        self._check_template()
+        self._name = repr(str(dataset_name)) if rows is None else "the rows"
+        if not len(self.rows):
+            raise DatasetError(f"no row in {self._name}; check its name, its split and any filter")
+        self._take(0)
+        if DatasetEnv.prompt(self, self._row) == prompt_template:
+            places = ", ".join(f"{{{column}}}" for column in self._row if column != answer_key)
+            raise ArgumentError(
+                f"prompt_template shows nothing of a row: {prompt_template!r:.200}. "
+                f"It may name {{question}} or a column: {places}"
+            )
 
     @property
     def num_tasks(self) -> int:  # type: ignore[override]  # read from the rows, which a subclass may replace
@@ -162,8 +168,9 @@ class DatasetEnv(Env):
         """Return the first observation for a row."""
 
         def filled(place: re.Match[str]) -> str:
-            column = self._column_at(place)
-            return str(row[column]) if column is not None and column in row else place[0]
+            column = self.question_key if place[1] == "question" else place[1]
+            # The gold answer is no part of a question, and \\boxed{answer} a way to say where it goes.
+            return str(row[column]) if column in row and column != self.answer_key else place[0]
 
         # In one pass, so that braces in a problem are never taken for places.
         return _PLACE.sub(filled, self.prompt_template)
@@ -210,41 +217,19 @@ class DatasetEnv(Env):
         return None if answer is None or not str(answer).strip() else boxed_or_tagged(str(answer))
 
     def _take(self, index: int) -> None:
-        row = self.rows[index]
-        self._check_columns(row, f"in row {index}")
-        self._index, self._row = index, row
-
-    def _checked_first_row(self, name: str) -> Row:
         try:
-            first = self.rows[0] if len(self.rows) else None
+            row = self.rows[index]
         except (TypeError, KeyError) as error:
             raise DatasetError(f"rows must be a sequence of mappings, not {type(self.rows).__name__}") from error
-        if first is None:
-            raise DatasetError(f"the data set{name} is empty; check its name, its split and any filter")
-        if not isinstance(first, Mapping):
-            raise DatasetError(f"a row must map columns to values, and the first is a {type(first).__name__}")
-        self._check_columns(first, "in the data set")
-        return first
-
-    def _check_columns(self, row: Row, where: str) -> None:
+        if not isinstance(row, Mapping):
+            raise DatasetError(f"row {index} must map columns to values, and is of type {type(row).__name__}")
         for key in (self.question_key, self.answer_key, self.id_key):
             if key is not None and key not in row:
                 columns = ", ".join(map(repr, row))
-                raise DatasetError(f"no column {key!r} {where}.{did_you_mean(key, row)} Columns: {columns}")
-
-    def _column_at(self, place: re.Match[str]) -> str | None:
-        """Return the column that a place of the template names, or None if it stands for itself."""
-        column = self.question_key if place[1] == "question" else place[1]
-        # The gold answer is no part of a question, and \boxed{answer} a way to say where it goes.
-        return None if column == self.answer_key else column
-
-    def _check_template(self) -> None:
-        if not any(self._column_at(place) in self._row for place in _PLACE.finditer(self.prompt_template)):
-            places = ", ".join(f"{{{column}}}" for column in self._row if column != self.answer_key)
-            raise ArgumentError(
-                f"prompt_template shows nothing of a row: {self.prompt_template!r:.200}. "
-                f"It may name {{question}} or a column: {places}"
-            )
+                raise DatasetError(
+                    f"no column {key!r} in row {index} of {self._name}.{did_you_mean(key, row)} Columns: {columns}"
+                )
+        self._index, self._row = index, row
 
 
 def chosen_index(options: Mapping[str, Any], count: int) -> int:
