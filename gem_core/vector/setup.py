@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, cast, get_args
 
 from gem_core.arguments import parse_choice
-from gem_core.env.wrapper import AnyEnv, concurrency_of
+from gem_core.env.wrapper import AnyEnv, concurrency_of, most_demanding
 from gem_core.errors import ArgumentError
 from gem_core.making.environment import check_choices, make_from
 from gem_core.making.layers import Wrappers, wrapper_targets
@@ -133,37 +133,36 @@ class VectorSetup:
         return cast("Concurrency", declared) if isinstance(declared, str) else None
 
     def concurrency(self, env_id: str | None) -> Concurrency | None:
-        """Return the concurrency of an environment with its wrappers, as far as it decides the environment's process.
+        """Return what an environment and its wrappers declare; None if it does not, and is no requested id.
 
-        If the classes do not declare it, an environment is made with the arguments that come with its id, and closed.
+        If the task's class does not declare it, an environment is made with the arguments that come with its id.
         """
-        by_class = self.task_concurrency(env_id)
-        entries = [kwargs for each, kwargs in self.entries if each == env_id]
-        asked = [self.wrappers, *({**self.kwargs, **kwargs}.get("wrappers", ()) for kwargs in entries)]
-        stacks = [stack for stack in asked if stack]
-        if by_class == "process" or any(map(_needs_process, stacks)):
-            return "process"
-        # Wrappers may need a thread, which matters only for an inline task with a step_timeout.
-        decided = by_class != "inline" or not stacks or self.step_timeout is None
-        if not entries or (by_class is not None and decided):
-            return by_class
-        env = self.make(env_id, entries[0])
-        try:
-            return concurrency_of(env)
-        finally:
-            env.close()
+        requested = [{**self.kwargs, **kwargs} for each, kwargs in self.entries if each == env_id]
+        declared = self.task_concurrency(env_id)
+        if declared is None and requested:
+            env = self.make(env_id, requested[0])
+            try:
+                declared = concurrency_of(env)
+            finally:
+                env.close()
+        for wrappers in (self.wrappers, *(kwargs.get("wrappers", ()) for kwargs in requested)):
+            if wrappers and declared is not None:
+                declared = most_demanding(declared, *_declared_by(wrappers))
+        return declared
 
 
-def _needs_process(wrappers: Wrappers) -> bool:
+def _declared_by(wrappers: Wrappers) -> list[Concurrency]:
+    """Return what wrapper classes declare as ``needs`` and tools as ``concurrency``, without making any."""
+    declared = []
     for target in wrapper_targets(wrappers):
         made: Any = target
         if isinstance(target, str):
             entry_point = target if ":" in target else registry().wrapper(target).entry_point
             made = load_entry_point(entry_point, f"wrapper {target!r}")
-        # A wrapper class declares ``needs``, a tool ``concurrency``.
-        if "process" in (getattr(made, "needs", None), getattr(made, "concurrency", None)):
-            return True
-    return False
+        declared += [
+            each for each in (getattr(made, "needs", None), getattr(made, "concurrency", None)) if isinstance(each, str)
+        ]
+    return cast("list[Concurrency]", declared)
 
 
 def _split(kwargs: Mapping[str, Any]) -> tuple[Mapping[str, Any], Wrappers]:
