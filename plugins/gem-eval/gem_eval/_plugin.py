@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gem_core import CommandSpec, ToolSpec, WrapperSpec, hookimpl
+from gem_core import CommandSpec, WrapperSpec, hookimpl
 
 _COMMANDS = {
     "eval": ("running.command", "Score models on suites, with intervals, and record the run."),
@@ -23,8 +23,6 @@ _COMMANDS = {
 _WRAPPERS = {
     "tool_429": ("tool_faults:Tool429", "Answer some calls of tools with HTTP status 429."),
     "tool_timeout": ("tool_faults:ToolTimeout", "Answer some calls of tools as if they had run out of time."),
-    "cut_outputs": ("cut_outputs:CutOutputs", "Cut off some outputs of tools and of the task."),
-    "renamed_parameters": ("renamed_parameters:RenamedParameters", "Give the parameters of tools other names."),
     "paraphrase": ("wording:Paraphrase", "Say the task in other words of the same meaning."),
     "typos": ("wording:Typos", "Misspell some words of the task."),
 }
@@ -46,11 +44,3 @@ def gem_register_wrappers() -> Iterable[WrapperSpec]:
         WrapperSpec(name=name, entry_point=f"gem_eval.robustness.{place}", summary=summary)
         for name, (place, summary) in _WRAPPERS.items()
     ]
-
-
-@hookimpl
-def gem_register_tools() -> Iterable[ToolSpec]:
-    """Tools that only distract."""
-    place = "gem_eval.robustness.distractors:make_distractors"
-    summary = "Plausible tools that help with no task."
-    return [ToolSpec(name="distractor_tools", entry_point=place, summary=summary)]

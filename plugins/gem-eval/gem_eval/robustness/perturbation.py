@@ -6,15 +6,10 @@ from typing import Any
 
 from gem_core.env import AnyEnv, Wrapper, stable_hash
 from gem_core.errors import ArgumentError
-from gem_core.tools import ToolEnv, find_tool_env
 from gem_core.types import ResetResult
 
 _HASHES = 1 << 53
 """``stable_hash`` returns whole numbers below this."""
-
-
-class NoToolsError(ArgumentError):
-    """A wrapper changes tools, and there are none inside it."""
 
 
 class Perturbation(Wrapper):
@@ -32,7 +27,9 @@ class Perturbation(Wrapper):
 
     def __init__(self, env: AnyEnv, rate: float) -> None:
         super().__init__(env)
-        self.rate = share(rate, "rate")
+        if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 <= rate <= 1:
+            raise ArgumentError(f"rate must be a number from 0 to 1, not {rate!r}")
+        self.rate = float(rate)
         self._seed = self._draws = 0
 
     def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
@@ -52,40 +49,4 @@ class Perturbation(Wrapper):
     def happens(self) -> bool:
         """Draw whether the agent is disturbed this time."""
         self._draws += 1
-        return drawn(self.rate, self._seed, type(self).__name__, self._draws)
-
-
-def drawn(rate: float, *what: int | str | None) -> bool:
-    """Draw from a hash of some values whether something happens that has a probability."""
-    return stable_hash(*what) < rate * _HASHES
-
-
-def share(value: object, name: str) -> float:
-    """Return an option that is a share.
-
-    Raises:
-        ArgumentError: It is no number from 0 to 1.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
-        raise ArgumentError(f"{name} must be a number from 0 to 1, not {value!r}")
-    return float(value)
-
-
-def tool_env_in(env: AnyEnv, wanted_by: str) -> ToolEnv:
-    """Return the wrapper that gives tools to a task.
-
-    Args:
-        env: The environment around which a wrapper is put.
-        wanted_by: Name of that wrapper's class, for the error.
-
-    Raises:
-        NoToolsError: There is none.
-    """
-    found = find_tool_env(env)
-    if found is None:
-        name = env.unwrapped.spec.id if env.unwrapped.spec is not None else type(env.unwrapped).__name__
-        raise NoToolsError(
-            f"{wanted_by} changes tools that wrappers offer, and there are none inside it around {name}; "
-            "name tools before it, as in 'python,tool_429'"
-        )
-    return found
+        return stable_hash(self._seed, type(self).__name__, self._draws) < self.rate * _HASHES

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+import copy
+import inspect
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 from gem_core.env import AnyEnv
-from gem_core.tools import ToolResult
-from gem_eval.robustness.changed_tool import ChangedTool
-from gem_eval.robustness.perturbation import Perturbation, tool_env_in
+from gem_core.errors import ArgumentError
+from gem_core.tools import Tool, ToolResult, find_tool_env
+from gem_eval.robustness.perturbation import Perturbation
 
 
 class _ToolFaults(Perturbation):
@@ -21,10 +24,35 @@ class _ToolFaults(Perturbation):
 
     def __init__(self, env: AnyEnv, rate: float = 0.2) -> None:
         super().__init__(env, rate)
-        tool_env_in(env, type(self).__name__).change_tools(lambda tool: ChangedTool(tool, before=self._fail))
+        found = find_tool_env(env)
+        if found is None:
+            name = env.unwrapped.spec.id if env.unwrapped.spec is not None else type(env.unwrapped).__name__
+            raise ArgumentError(
+                f"{type(self).__name__} changes tools that wrappers offer, and there are none inside it around {name}; "
+                "name tools before it, as in 'python,tool_429'"
+            )
+        found.change_tools(lambda tool: _fallible(tool, self._fail))
 
     def _fail(self) -> ToolResult | None:
         return ToolResult(self.told, failed=True, info={"fault": self.fault}) if self.happens() else None
+
+
+def _fallible(tool: Tool, fail: Callable[[], ToolResult | None]) -> Tool:
+    """Return the tool with calls that fail instead of being executed, where ``fail`` returns a result."""
+
+    def call(arguments: Any, session: Any) -> Any:
+        return fail() or tool.call(arguments, session)
+
+    async def call_async(arguments: Any, session: Any) -> Any:
+        return fail() or await tool.call(arguments, session)  # type: ignore[misc]  # it is a coroutine function
+
+    changed = copy.copy(tool)
+    vars(changed).update(
+        call=call_async if inspect.iscoroutinefunction(tool.call) else call,
+        # A fork draws by the counter of its own wrapper.
+        __deepcopy__=lambda memo: _fallible(tool, copy.deepcopy(fail, memo)),
+    )
+    return changed
 
 
 class Tool429(_ToolFaults):

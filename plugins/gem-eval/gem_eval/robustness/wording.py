@@ -9,7 +9,6 @@ from typing import Any
 from gem_core.env import AnyEnv, is_messages, observation_from
 from gem_core.errors import ArgumentError
 from gem_core.records import split_observation
-from gem_core.registry import load_entry_point
 from gem_core.types import Observation, ResetResult
 from gem_eval.robustness.perturbation import Perturbation
 
@@ -103,24 +102,16 @@ class Paraphrase(_Wording):
     Args:
         env: What is disturbed; inside any view of the history.
         rate: Probability that a phrase of the table is exchanged.
-        function: What changes the text instead of these rules: a callable, or where it is, ``"module:function"``. It is
-            called with the text of the task and a seed, and returns the text for the agent.
 
     Raises:
-        ArgumentError: The rate is no number from 0 to 1, or there is no such function.
+        ArgumentError: The rate is no number from 0 to 1.
     """
 
-    def __init__(self, env: AnyEnv, rate: float = 1.0, function: str | Callable[[str, int], str] | None = None) -> None:
+    def __init__(self, env: AnyEnv, rate: float = 1.0) -> None:
         super().__init__(env, rate)
-        self._function = None if function is None else load_entry_point(function, "paraphrase's function")
 
     def change(self, text: str) -> str:
         """Return the text with other phrases and polite sentences around it."""
-        if self._function is not None:
-            changed = self._function(text, self.below(1 << 53))
-            if not isinstance(changed, str):
-                raise ArgumentError(f"the function of paraphrase returned {type(changed).__name__}, not text")
-            return changed
         body = text.rstrip("\n")
         opening, closing = _OPENINGS[self.below(len(_OPENINGS))], _CLOSINGS[self.below(len(_CLOSINGS))]
         return f"{opening}{change_prose(body, self._exchange)}{closing}{text[len(body) :]}"

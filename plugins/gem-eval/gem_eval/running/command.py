@@ -55,9 +55,9 @@ Examples:
   gem eval math:GSM8K --model openai:gpt-5-mini --tools python --perturb tool_429 --perturb typos,paraphrase
 \b
 --perturb also plays each row as a variant of the model, such as 'openai:gpt-5-mini + typos': its tools,
-outputs or task are disturbed, by seed. 'gem compare RUN' shows how much the score falls. It takes tool_429,
-tool_timeout, cut_outputs, distractor_tools, renamed_parameters, paraphrase, typos, and any other name of
-'gem list wrappers' and 'gem list tools'; 'gem info NAME' says what each does, and its options.
+or task are disturbed, by seed. 'gem compare RUN' shows how much the score falls. It takes tool_429,
+tool_timeout, paraphrase, typos, and any other name of 'gem list wrappers' and 'gem list tools'; 'gem info NAME'
+says what each does, and its options.
 \b
 The same command goes on with a run that was stopped, and begins a new one after it has finished; --new
 always begins a new one. Rows and seeds are the same in every run of a suite, so that two runs
