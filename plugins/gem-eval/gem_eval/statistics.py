@@ -1,4 +1,4 @@
-"""Statistics of scores: estimates with intervals, comparisons of two runs, agreement of judges.
+"""Statistics of scores: estimates with intervals, and comparisons of two runs.
 
 Values come by row, a sequence of the epochs of each; rows may have different numbers of epochs. Epochs of a row are not
 independent, so all formulas use the means of rows, as if rows were drawn from a larger set of tasks (Miller, "Adding
@@ -44,22 +44,6 @@ class Estimate(NamedTuple):
     stderr: float | None
     low: float | None
     high: float | None
-
-
-class Agreement(NamedTuple):
-    """How well repeated ratings of the same items agree.
-
-    Args:
-        items: Number of items with at least two ratings; the others are left out.
-        share: Probability that two ratings of an item are equal; None without items.
-        alpha: Krippendorff's alpha: 1 for perfect agreement, 0 for that of chance; None where all ratings are equal.
-        variance: Mean variance between the ratings of an item; None without items.
-    """
-
-    items: int
-    share: float | None
-    alpha: float | None
-    variance: float | None
 
 
 def rate(rows: Rows, confidence: float = 0.95) -> Estimate:
@@ -250,27 +234,6 @@ def more_rows_needed(differences: Sequence[float], p: float, power: float = 0.8,
     return max(math.ceil(ratio**2 + critical**2 / 2), math.ceil(least), rows + 1) - rows
 
 
-def agreement(ratings: Rows) -> Agreement:
-    """Measure how well repeated ratings of the same items agree, as of a judge that is asked several times.
-
-    Krippendorff's alpha with squared differences: for verdicts that are True or False it is the nominal alpha as well,
-    and unlike Fleiss' kappa it takes scores, and items with different numbers of ratings.
-
-    Args:
-        ratings: For each item its ratings; those of a repeat that failed are left out.
-
-    Source: K. Krippendorff, "Computing Krippendorff's alpha-reliability" (2011).
-    """
-    items = [np.asarray(each, dtype=float) for each in ratings if len(each) > 1]
-    if not items:
-        return Agreement(0, None, None, None)
-    spreads = [float(np.var(item, ddof=1)) for item in items]
-    overall = float(np.var(np.concatenate(items), ddof=1))
-    observed = math.fsum(len(item) * spread for item, spread in zip(items, spreads, strict=True))
-    alpha = None if overall == 0 else 1 - observed / sum(map(len, items)) / overall
-    return Agreement(len(items), _mean_of(list(map(_share_of_equal_pairs, items))), alpha, _mean_of(spreads))
-
-
 def row_means(rows: Rows) -> _Floats:
     """Return the means of rows, float64, in ascending order; rows without values are left out.
 
@@ -321,8 +284,3 @@ def _of_counts(counts: Counts, k: int, confidence: float, share: Callable[[int, 
     if not rows:
         raise ArgumentError(f"no row has {k} epochs, as pass@{k} and pass^{k} need; play more epochs, or lower k")
     return rate(rows, confidence)
-
-
-def _share_of_equal_pairs(ratings: _Floats) -> float:
-    counts = np.unique(ratings, return_counts=True)[1]
-    return float(np.sum(counts * (counts - 1))) / (len(ratings) * (len(ratings) - 1))

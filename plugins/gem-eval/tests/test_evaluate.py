@@ -152,7 +152,7 @@ def test_a_role_is_given_to_environments_that_have_it() -> None:
 
 def test_a_model_is_also_played_perturbed() -> None:
     """On the same rows and seeds, its wrappers between tools and views; the record can be compared."""
-    tasks = suite({"id": "evaltest:Sums", "limit": 3, "tools": ["distractor_tools"], "wrappers": ["concat"]})
+    tasks = suite({"id": "evaltest:Sums", "limit": 3, "tools": ["search"], "wrappers": ["concat"]})
     run = evaluate(tasks, {"a": right}, perturb=["tool_429:rate=1,typos"], out="run")
     stacks = {row.model: [name for name, _ in run.episode(row).wrappers] for row in run.rows}
     assert stacks == {"a": ["tools", "concat"], "a + tool_429:rate=1,typos": ["tools", "tool_429", "typos", "concat"]}

@@ -16,7 +16,7 @@ from gem_core import Episode, Response, Transition
 from gem_core.errors import ArgumentError
 from gem_core.records import ImageFolder, write_episodes
 from gem_eval.replaying.command import command
-from gem_eval.replaying.recorded import differences
+from gem_eval.replaying.replay import differences
 
 ID = "game:GuessTheNumber-v0-hard"
 

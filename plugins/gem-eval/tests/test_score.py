@@ -17,7 +17,7 @@ from gem_core import Episode, Transition
 from gem_core.errors import ArgumentError, RequestError
 from gem_core.records import read_episodes, write_episodes
 from gem_eval.scoring.command import command
-from gem_eval.scoring.graders import find_grader
+from gem_eval.scoring.grading import find_grader
 from gem_eval.scoring.judge import asked, model_judge
 
 ID = "game:GuessTheNumber-v0-hard"
@@ -116,7 +116,7 @@ def test_scores_go_on_after_an_interrupt_and_failures_are_tried_again(played: Pa
     with path.open("ab") as file:
         file.write(b'{"episode": 4, "rep')
     found = gem_eval.score(played, grade)
-    assert (len(seen), len(found.graded), found.errors) == (4 + 4, 6, [])
+    assert (len(seen), len(found.graded), found.errors) == (4 + 4, 6, {})
     assert gem_eval.score(played, grade).graded == found.graded
     assert len(seen) == 4 + 4
 
@@ -157,26 +157,20 @@ class Examiner:
         return str(reply)
 
 
-def test_a_judge_is_asked_several_times_and_its_agreement_told(played: Path) -> None:
-    """With the variance between the repeats."""
-    model = Examiner("Fine.\nVERDICT: PASS", "**VERDICT: FAIL**", "VERDICT: PASS", "VERDICT: UNKNOWN")
-    found = gem_eval.score(played, model_judge(model), repeat=4, max_concurrency=1)
-    assert found.agreement is not None
-    assert (found.agreement.items, found.agreement.share) == (6, pytest.approx(1 / 3))
-    assert found.tasks[0].new is not None
-    assert found.tasks[0].new.mean == pytest.approx(2 / 3)
-    # The verdict is that of most repeats; of as many, there is none.
-    assert [each.new for each in found.changed] == [True] * sum(row.success is False for row in found.run.rows)
-    model = Examiner("VERDICT: PASS", "VERDICT: FAIL")
-    assert gem_eval.score(played, model_judge(model), repeat=2, max_concurrency=1, name="tie").changed == []
-    assert found.graded[1, 0].note == "Fine.\nVERDICT: PASS"
+def test_a_judge_passes_fails_or_cannot_tell(played: Path) -> None:
+    """By the last line of its reply, whose end is kept."""
+    model = Examiner("Fine.\nVERDICT: PASS", "**VERDICT: FAIL**", "VERDICT: UNKNOWN")
+    found = gem_eval.score(played, model_judge(model), max_concurrency=1)
+    assert [each.value for each in found.graded.values()] == [1, 0, None] * 2
+    assert found.graded[1].note == "Fine.\nVERDICT: PASS"
+    assert (found.tasks[0].new.mean, found.tasks[0].unknown) == (0.5, 2)
 
 
 def test_a_judge_that_fails_is_an_error_of_that_episode(played: Path) -> None:
     """As one that does not answer, or gives no verdict."""
     model = Examiner(RequestError("no route"), "VERDICT: PASS")
     found = gem_eval.score(played, model_judge(model), max_concurrency=1)
-    assert [each.error for each in found.errors] == ["the judge gave no verdict: no route"] * 3
+    assert list(found.errors.values()) == ["the judge gave no verdict: no route"] * 3
 
 
 def test_a_long_transcript_keeps_its_beginning_and_its_end() -> None:
@@ -198,7 +192,7 @@ def test_graders_that_do_not_fit_are_refused(played: Path) -> None:
     gem_eval.score(played, "env")
     with pytest.raises(ArgumentError, match="--overwrite"):
         gem_eval.score(played, "env", kwargs={"max_turns": 3})
-    assert gem_eval.score(played, "env", kwargs={"max_turns": 3}, overwrite=True).notes
+    assert gem_eval.score(played, "env", kwargs={"max_turns": 3}, overwrite=True).graded[1].note
     pytest.importorskip("gem_openai")
     judge = find_grader("openai:gpt/5", rubric="Be kind.", options={"base_url": "http://localhost:1/v1"})
-    assert (judge.name, judge.asynchronous, judge.described["rubric"]) == ("openai-gpt-5", True, "Be kind.")
+    assert (judge.name, judge.described["rubric"]) == ("openai-gpt-5", "Be kind.")

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from gem_core.errors import ArgumentError
 from gem_eval.statistics import (
     Estimate,
-    agreement,
     differences,
     mcnemar,
     mean,
@@ -145,19 +144,6 @@ def test_more_rows_needed_says_when_none_or_no_number_would() -> None:
     assert more_rows_needed([1.0], 1.0) is None
     assert more_rows_needed([1.0, 1.0], 0.5) == 4  # six rows of one sign are the fewest that reach 5 %
     assert more_rows_needed([1.0] * 5 + [0.0] * 3, 0.0625) == 2  # five of eight differ, so about six of ten will
-
-
-def test_agreement_is_krippendorffs_alpha() -> None:
-    """Fleiss' kappa of statsmodels, with the correction for few ratings; and items with unequal numbers of ratings."""
-    rates = pytest.importorskip("statsmodels.stats.inter_rater")
-    ratings = np.random.default_rng(2).binomial(1, [[0.1], [0.9], [0.8], [0.2], [0.9]] * 4, (20, 3))
-    kappa = rates.fleiss_kappa(rates.aggregate_raters(ratings)[0])
-    assert agreement(ratings.tolist()).alpha == pytest.approx(1 - (1 - kappa) * 59 / 60)
-    # By hand: of the pairs of ratings within items 2 of 3 are equal on average; coincidences 3-0, 0-3, and 1-1.
-    found = agreement([[1, 1, 1], [0, 1], [0, 0, 0], [1]])
-    assert found == (3, pytest.approx(2 / 3), pytest.approx(0.5625), pytest.approx(1 / 6))
-    assert agreement([[1, 1], [1, 1]]) == (2, 1.0, None, 0.0)
-    assert agreement([[1], []]) == (0, None, None, None)
 
 
 def test_standard_error_is_clustered_by_row() -> None:

@@ -13,7 +13,7 @@ from gem_core.suggestions import did_you_mean
 from gem_eval.grouping import grouped
 from gem_eval.opening import require_episodes
 from gem_eval.records import Row, Run, open_run
-from gem_eval.scoring.file import ScoreFile
+from gem_eval.scoring.file import values_of
 
 if TYPE_CHECKING:
     from gem_eval.scores import Metric
@@ -136,7 +136,7 @@ def sides_of(given: Iterable[Given], models: Sequence[str] = (), scores: str | N
 
 def models_of(run: Run, scores: str | None = None) -> list[Side]:
     """Return each model of a run, in order of appearance and without a label; see ``sides_of``."""
-    values = None if scores is None else ScoreFile.of(run, scores).means()
+    values = None if scores is None else values_of(run, scores)
     return [Side("", run, model, own, values) for model, own in grouped(run.rows, lambda row: row.model).items()]
 
 

@@ -14,22 +14,22 @@ import click
 from gem_core import Episode, write_episodes
 from gem_core.cli import (
     AGENTS,
-    Column,
     agent_options,
     arguments_option,
     counted,
     echo_line,
     env_arguments,
     given,
-    print_table,
+    output_width,
 )
 from gem_core.errors import ArgumentError
 from gem_eval.output import print_json
+from gem_eval.records import open_run
 from gem_eval.replaying.replay import Replay, replay
-from gem_eval.show.lines import episode_lines
+from gem_eval.show.lines import episode_lines, list_lines
 from gem_eval.show.paging import write_lines
 from gem_eval.show.text import one_line, rule
-from gem_eval.turns import error_text, outcome_of
+from gem_eval.turns import error_text
 
 _PERSON = "human"
 
@@ -137,25 +137,11 @@ def _print(found: Replay, written: str | None) -> None:
                 echo_line(one_line(f"the replay ended in an error: {error_text(episode.error)}"))
         return
     click.echo()
-    listed = [("original", found.original), *((f"branch {n}", each) for n, each in enumerate(found.episodes, start=1))]
-    print_table(_COLUMNS, listed)
+    for line in list_lines(open_run(written).rows, output_width()):
+        click.echo(line)
     path = shlex.quote(written)
     click.echo(f"\nWritten to {written}, the original as episode 1:")
     click.echo(f"  gem show {path}\n  gem show {path} --diff 1 2")
-
-
-def _outcome(each: tuple[str, Episode]) -> str:
-    return outcome_of(each[1].success, failed=each[1].error is not None)
-
-
-_COLUMNS = [
-    Column("episode", lambda each: str(each[0]), name=True),
-    Column("outcome", _outcome),
-    Column("return", lambda each: f"{each[1].episode_return:.4g}"),
-    Column("turns", lambda each: str(each[1].turns)),
-    Column("cut off", lambda each: each[1].cut_off or ""),
-    Column("error", lambda each: one_line(error_text(each[1].error), 200)),
-]
 
 
 def _as_dict(found: Replay, written: str | None) -> dict[str, Any]:

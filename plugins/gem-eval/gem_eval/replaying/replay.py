@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gem_core as gem
-from gem_core import Episode, PlanItem
-from gem_core.errors import AgentError, ArgumentError, GemError, UnknownNameError
-from gem_core.records import to_plain
-from gem_core.rollouts import Agent, as_agent, close_agent, load_agent, prepare_agent
+from gem_core import Episode, Observation, PlanItem
+from gem_core.errors import AgentError, ArgumentError, EpisodeLimitError, GemError, RequestError, UnknownNameError
+from gem_core.records import from_plain, to_plain
+from gem_core.rollouts import Agent, AgentTraits, Context, as_agent, close_agent, load_agent, prepare_agent
 from gem_eval.opening import opened, refuse_seats
-from gem_eval.replaying.recorded import RecordedActions, differences
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from gem_eval.records import Row, Run
 
 _BLOT = "***"
@@ -25,6 +25,10 @@ _HINT = (
     "A record leaves out arguments that are long, as the rows of a data set, and functions: give them by --set "
     "NAME=VALUE, or kwargs={…}"
 )
+END_OF_RECORD = "end of the record"
+"""What cuts a replay off that has no more actions, where the episode is not over."""
+
+_LONGEST = 60
 
 
 @dataclass(frozen=True)
@@ -92,64 +96,42 @@ def replay(
     over = bool(original.transitions) and original.transitions[-1].terminated
     if from_turn is not None and not 1 <= from_turn <= original.turns + (not over):
         raise ArgumentError(f"there is no turn {from_turn} to go on from: the episode has {original.turns}, from 1")
-    turns = original.turns if from_turn is None else from_turn - 1
     own = load_agent(agent, **(options or {})) if isinstance(agent, str) else None if agent is None else as_agent(agent)
-    recipe = recipe_of(original, kwargs)
-    item = PlanItem(seed=original.seed, options=original.options, repeat=branches)
-    acting = RecordedActions(original, turns, own, force=force or own is None)
-    at_once = 1 if getattr(own, "interactive", False) else min(branches, getattr(own, "max_concurrency", branches))
     with ExitStack() as at_end:
         if own is not None:
             if isinstance(agent, str):
                 at_end.callback(close_agent, own)
             prepare_agent(own)
-        try:
-            played = list(gem.rollout([recipe], acting, plan=[item], seed=original.run_seed, num_envs=at_once))
-        except AgentError:
-            raise
-        except GemError as error:
-            raise _not_made(original, error) from error
-    episodes = sorted(played, key=lambda each: each.repeat)
+        episodes = repeated(original, from_turn, own, branches=branches, kwargs=kwargs, force=force)
+    turns = original.turns if from_turn is None else from_turn - 1
     for episode in episodes:
         episode.agent = agent if isinstance(agent, str) else None
     return Replay(run, row, original, turns, episodes, [differences(original, each, turns) for each in episodes])
 
 
-def repeat_all(
-    episodes: Sequence[Episode], kwargs: Mapping[str, Any] | None = None, num_envs: int = 8
-) -> Iterator[tuple[int, Episode | GemError]]:
-    """Replay whole episodes; yield each replay with the place of its episode, in any order, or why there is none.
-
-    Differences from the record do not stop a replay. Episodes whose environments are made alike share them.
-
-    Args:
-        episodes: The records.
-        kwargs: Keyword arguments over the recorded ones.
-        num_envs: How many environments run at once.
-    """
-    alike: dict[str, tuple[tuple[str, dict[str, Any]], list[int]]] = {}
-    for place, episode in enumerate(episodes):
-        try:
-            recipe = recipe_of(episode, kwargs)
-        except ArgumentError as error:
-            yield place, error
-        else:
-            alike.setdefault(json.dumps(to_plain(recipe), sort_keys=True), (recipe, []))[1].append(place)
-    for recipe, places in alike.values():
-        agents = {
-            str(place): RecordedActions(episodes[place], episodes[place].turns, None, force=True) for place in places
-        }
-        plan = [
-            PlanItem(seed=episodes[place].seed, options=episodes[place].options, agent=str(place)) for place in places
-        ]
-        try:
-            # The seed of the run does not matter: each item has its own.
-            for replayed in gem.rollout([recipe], agents, plan=plan, seed=0, num_envs=min(num_envs, len(plan))):
-                places.remove(int(replayed.agent or 0))
-                yield int(replayed.agent or 0), replayed
-        except GemError as error:
-            for place in places:
-                yield place, _not_made(episodes[place], error)
+def repeated(
+    original: Episode,
+    from_turn: int | None = None,
+    agent: Agent | None = None,
+    *,
+    branches: int = 1,
+    kwargs: Mapping[str, Any] | None = None,
+    force: bool = False,
+) -> list[Episode]:
+    """Return the episodes of a replay; see ``replay`` for the arguments, and for what it raises."""
+    turns = original.turns if from_turn is None else from_turn - 1
+    recipe = recipe_of(original, kwargs)
+    item = PlanItem(seed=original.seed, options=original.options, repeat=branches)
+    acting = RecordedActions(original, turns, agent, force=force or agent is None)
+    at_once = 1 if getattr(agent, "interactive", False) else min(branches, getattr(agent, "max_concurrency", branches))
+    try:
+        played = list(gem.rollout([recipe], acting, plan=[item], seed=original.run_seed, num_envs=at_once))
+    except AgentError:
+        raise
+    except GemError as error:
+        hint = "" if isinstance(error, UnknownNameError) else f". {_HINT}"
+        raise ArgumentError(f"{original.id} cannot be made from its record: {error}{hint}") from error
+    return sorted(played, key=lambda each: each.repeat)
 
 
 def recipe_of(episode: Episode, kwargs: Mapping[str, Any] | None = None) -> tuple[str, dict[str, Any]]:
@@ -180,13 +162,105 @@ def recipe_of(episode: Episode, kwargs: Mapping[str, Any] | None = None) -> tupl
     return episode.id, {**arguments, "wrappers": [(name, options) for name, options in episode.wrappers]}
 
 
-def _not_made(episode: Episode, error: GemError) -> ArgumentError:
-    hint = "" if isinstance(error, UnknownNameError) else f". {_HINT}"
-    return ArgumentError(f"{episode.id} cannot be made from its record: {error}{hint}")
-
-
 def _holds_blot(value: Any) -> bool:
     if isinstance(value, str):
         return _BLOT in value
     parts = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
     return any(map(_holds_blot, parts))
+
+
+class RecordedActions:
+    """Repeats the responses of an episode, to the letter, and leaves later turns to another agent.
+
+    It is sent what the other agent reads, who therefore finds the conversation as if it had acted from the beginning.
+
+    Args:
+        episode: The record.
+        turns: How many turns are repeated.
+        agent: Who acts then; None cuts the episode off.
+        force: Go on where an observation or a reward is not as recorded; otherwise the episode ends in an error.
+    """
+
+    def __init__(self, episode: Episode, turns: int, agent: Agent | None, *, force: bool) -> None:
+        self._episode, self._turns, self._agent, self._force = episode, turns, agent, force
+        self.reads, self.system, self.native_tools = (
+            AgentTraits("observation") if agent is None else AgentTraits.of(agent)
+        )
+
+    def __call__(self, observation: Observation, context: Context) -> str | Awaitable[str]:
+        """Return the recorded response, or ask the other agent.
+
+        Raises:
+            RequestError: The replay differs from the record.
+            EpisodeLimitError: There are no more actions.
+        """
+        turn = context.turn
+        if turn <= self._turns and not self._force:
+            last = context.transitions[-1] if context.transitions else None
+            found = _step_difference(self._episode, turn, last) or _observation_difference(
+                self._episode, turn, context.observation
+            )
+            if found:
+                raise RequestError(f"the replay is not as recorded: {found}", cause="replay")
+        if turn < self._turns:
+            return self._episode.transitions[turn].action
+        if self._agent is None:
+            raise EpisodeLimitError("there are no more recorded actions", limit=END_OF_RECORD)
+        return self._agent(observation, context)
+
+
+def differences(recorded: Episode, replayed: Episode, turns: int) -> list[str]:
+    """Return in words where the first turns of a replay differ from the record; empty where they agree.
+
+    Args:
+        recorded: The record.
+        replayed: The replay.
+        turns: How many turns were repeated.
+    """
+    found = []
+    for turn in range(turns + 1):
+        if turn > replayed.turns:
+            found.append(f"turn {turn}: the replay was over before it")
+            break
+        last = replayed.transitions[turn - 1] if turn else None
+        observation = replayed.final_observation if turn == replayed.turns else replayed.transitions[turn].observation
+        both = _step_difference(recorded, turn, last), _observation_difference(recorded, turn, observation)
+        found += [each for each in both if each]
+    if turns == recorded.turns and replayed.turns == turns and recorded.error is None:
+        was, is_now = recorded.success, replayed.success
+        if was != is_now:
+            found.append(f"the end: success was {was}, and is {is_now}")
+    return found
+
+
+def _step_difference(recorded: Episode, turn: int, replayed: Any) -> str | None:
+    """Compare the result of the step before a turn, from 0."""
+    if turn == 0 or replayed is None:
+        return None
+    last = recorded.transitions[turn - 1]
+    compared = ["reward", "terminated", "truncated"]
+    if turn == recorded.turns and not last.terminated and last.truncated:
+        compared.remove("truncated")  # it may have been cut off between two turns, by a limit or an error
+    for name in compared:
+        was, is_now = to_plain(getattr(last, name)), to_plain(getattr(replayed, name))
+        if was != is_now:
+            return f"turn {turn}: {name} was {was}, and is {is_now}"
+    return None
+
+
+def _observation_difference(recorded: Episode, turn: int, observation: Observation) -> str | None:
+    is_last = turn == recorded.turns
+    before = recorded.final_observation if is_last else recorded.transitions[turn].observation
+    # An image that was not read stands in a record as the plain form of one does.
+    was, is_now = (_text(from_plain(to_plain(each))) for each in (before, observation))
+    if was == is_now:
+        return None
+    place = next((number for number, pair in enumerate(zip(was, is_now, strict=False)) if pair[0] != pair[1]), -1)
+    start = max(min(len(was), len(is_now)) if place < 0 else place - 10, 0)
+    shown = [repr(text[start : start + _LONGEST]) for text in (was, is_now)]
+    what = "the first observation" if turn == 0 else f"turn {turn}: what was answered"
+    return f"{what} was {shown[0]}, and is {shown[1]} (from character {start})"
+
+
+def _text(plain: Any) -> str:
+    return plain if isinstance(plain, str) else json.dumps(plain, ensure_ascii=False)

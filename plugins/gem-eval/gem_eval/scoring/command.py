@@ -28,7 +28,7 @@ _MOST_LISTED = 20
 Examples:
   gem score runs/mine --grader my_module:grade         a function of your own
   gem score runs/mine --grader env                     the environment's grading, as it is now
-  gem score runs/mine --grader openai:gpt-5-mini --repeat 3
+  gem score runs/mine --grader openai:gpt-5-mini
   gem score runs/mine --grader openai:gpt-5-mini --rubric rubric.txt --name polite
   gem compare runs/mine runs/other --scores polite
 \b
@@ -48,14 +48,6 @@ Exit code: 0 if the grader failed for no episode, 1 if it did, 2 for a wrong arg
 @click.option(
     "-g", "--grader", required=True, metavar="GRADER", help="MODULE:FUNCTION, 'env', or 'openai:MODEL' for a judge."
 )
-@click.option(
-    "--repeat",
-    metavar="N",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Times to grade each episode.",
-)
 @click.option("--name", help="Name of the scores.  [default: the grader's]")
 @click.option(
     "--rubric",
@@ -65,7 +57,6 @@ Exit code: 0 if the grader failed for no episode, 1 if it did, 2 for a wrong arg
 )
 @arguments_option
 @click.option("--overwrite", is_flag=True, help="Grade all episodes again.")
-@click.option("--all", "every", is_flag=True, help="List all verdicts that changed, not only the first 20.")
 @click.option("--json", "as_json", is_flag=True, help="Write the scores as JSON.")
 @agent_options
 @click.pass_context
@@ -74,12 +65,10 @@ def command(
     /,
     path: str,
     grader: str,
-    repeat: int,
     name: str | None,
     rubric: TextIO | None,
     arguments: tuple[str, ...],
     overwrite: bool,
-    every: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -95,7 +84,6 @@ def command(
         found = score(
             open_run(path),
             grader,
-            repeat=repeat,
             name=name,
             rubric=None if rubric is None else rubric.read(),
             kwargs=env_arguments(arguments),
@@ -107,11 +95,11 @@ def command(
     if as_json:
         print_json(_as_dict(found))
     else:
-        _report(found, every)
+        _report(found)
     ctx.exit(1 if found.errors else 0)
 
 
-def _report(found: Rescored, every: bool) -> None:
+def _report(found: Rescored) -> None:
     columns = [
         Column("task", lambda row: one_line(row.id), name=True),
         Column("model", lambda row: one_line(row.model) or "-", 0),
@@ -124,34 +112,23 @@ def _report(found: Rescored, every: bool) -> None:
     ]
     print_table(columns, found.tasks)
     click.echo()
-    if found.agreement is not None and found.agreement.share is not None:
-        alpha = "" if found.agreement.alpha is None else f", Krippendorff's alpha {found.agreement.alpha:.2f}"
-        echo_line(
-            f"Two repeats agree in {found.agreement.share:.1%} of cases{alpha}; variance between the repeats of an "
-            f"episode: {found.agreement.variance:.3g} on average ({counted(found.agreement.items, 'episode')})."
-        )
     warn_of_damage(found.run)
     if found.not_graded:
         echo_line(f"{counted(found.not_graded, 'episode')} ended in an error, and cannot be graded.")
-    differing = [each for each in found.notes if (each.note or "").startswith("not as recorded")]
+    notes = {number: each.note or "" for number, each in found.graded.items()}
+    differing = {number: note for number, note in notes.items() if note.startswith("not as recorded")}
     verdicts = {each.row.number: f"{'passes' if each.new else 'fails'} now  {each.row.row}" for each in found.changed}
     for title, told in (
-        (
-            f"{counted(len(differing), 'replay')} went another way than recorded:",
-            [(e.episode, e.note) for e in differing],
-        ),
-        (
-            f"The grader failed {counted(len(found.errors), 'time')}; the same command tries again:",
-            [(each.episode, each.error) for each in found.errors],
-        ),
-        (f"{counted(len(verdicts), 'verdict')} changed:", list(verdicts.items())),
+        (f"{counted(len(differing), 'replay')} went another way than recorded:", differing),
+        (f"The grader failed {counted(len(found.errors), 'time')}; the same command tries again:", found.errors),
+        (f"{counted(len(verdicts), 'verdict')} changed:", verdicts),
     ):
         if told:
             echo_line(title)
-        for number, words in told if every else told[:_MOST_LISTED]:
-            click.echo(f"  episode {number}: {one_line(words or '', 200)}")
-        if not every and len(told) > _MOST_LISTED:
-            click.echo(f"  … and {len(told) - _MOST_LISTED} more; --all lists them")
+        for number, words in list(told.items())[:_MOST_LISTED]:
+            click.echo(f"  episode {number}: {one_line(words, 200)}")
+        if len(told) > _MOST_LISTED:
+            click.echo(f"  … and {len(told) - _MOST_LISTED} more; --json lists them")
     echo_line(f"Written to {found.path}; compare runs by these scores with --scores {found.name}.")
 
 
@@ -172,7 +149,6 @@ def _as_dict(found: Rescored) -> dict[str, Any]:
             {"episode": each.row.number, "row": each.row.row, "old": each.old, "new": each.new}
             for each in found.changed
         ],
-        "agreement": found.agreement and found.agreement._asdict(),
-        "errors": [{"episode": each.episode, "repeat": each.repeat, "error": each.error} for each in found.errors],
+        "errors": [{"episode": number, "error": error} for number, error in found.errors.items()],
         "not_graded": found.not_graded,
     }

@@ -1,19 +1,17 @@
-"""``ScoreFile``: the scores of a run by one grader, one JSON line for each episode and repeat."""
+"""``ScoreFile``: the scores of a run by one grader, one JSON line for each episode."""
 
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Self
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import to_plain, without_secrets
 from gem_core.suggestions import did_you_mean
-from gem_eval.grouping import grouped
 
 if TYPE_CHECKING:
     from gem_eval.records import Run
@@ -23,35 +21,19 @@ _NAME = re.compile(r"[\w.-]{1,100}", re.ASCII)
 
 @dataclass(frozen=True)
 class Grade:
-    """What a grader said of an episode, once.
+    """What a grader said of an episode.
 
     Args:
-        episode: Number of the episode in its run.
-        repeat: Which time it was asked, from 0.
         value: The score; a verdict is 0 or 1. None where the grader cannot tell, or failed.
         metrics: All that it returned, where it returned several.
         error: Why it failed; None where it did not.
         note: What it said besides, as the reason of a judge, or where a replay differs from the record.
     """
 
-    episode: int = 0
-    repeat: int = 0
     value: float | None = None
     metrics: Mapping[str, float] = field(default_factory=dict)
     error: str | None = None
     note: str | None = None
-
-    @classmethod
-    def from_dict(cls, record: Any) -> Self:
-        """Return what a line says.
-
-        Raises:
-            EpisodeFileError: It says nothing of the kind.
-        """
-        try:
-            return cls(**{**record, "value": None if record["value"] is None else float(record["value"])})
-        except (KeyError, TypeError, ValueError) as error:
-            raise EpisodeFileError(f"it is no score ({error})") from error
 
 
 class ScoreFile:
@@ -60,56 +42,30 @@ class ScoreFile:
     It stands in ``scores/`` of the run's folder; of a file ``mine.jsonl``, in ``mine.scores/`` beside it.
 
     Args:
-        path: The file.
+        run: The run.
+        name: Name of the scores, which need not be there yet.
 
-    ``grader`` is what graded, as the first line says it; None for a new file. ``graded`` holds the lines, of those that
-    are of the same episode and repeat the last.
+    ``grader`` is what graded, as the first line says it; None for a new file. ``graded`` holds the grades by the number
+    of their episode, of several the last.
+
+    Raises:
+        ArgumentError: It cannot be the name of a file.
+        EpisodeFileError: The file cannot be read.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, run: Run, name: str) -> None:
+        if not _NAME.fullmatch(name) or name.startswith("."):
+            raise ArgumentError(f"{name!r} is no name of scores: use letters, digits, '.', '-' and '_'; give --name")
+        self.path = folder_of(run) / f"{name}.jsonl"
         self.grader: dict[str, Any] | None = None
-        self.graded: dict[tuple[int, int], Grade] = {}
+        self.graded: dict[int, Grade] = {}
         self._file: BinaryIO | None = None
         self._whole = 0
         """Bytes of the file without a line that was torn."""
         try:
             self._read()
         except OSError as error:
-            raise EpisodeFileError(f"cannot read {path}: {error.strerror or error}") from error
-
-    @classmethod
-    def new_or_begun(cls, run: Run, name: str) -> Self:
-        """Return the scores of a name, which need not be there yet.
-
-        Raises:
-            ArgumentError: It cannot be the name of a file.
-            EpisodeFileError: The file cannot be read.
-        """
-        if not _NAME.fullmatch(name) or name.startswith("."):
-            raise ArgumentError(f"{name!r} is no name of scores: use letters, digits, '.', '-' and '_'; give --name")
-        return cls(folder_of(run) / f"{name}.jsonl")
-
-    @classmethod
-    def of(cls, run: Run, name: str) -> Self:
-        """Return the scores of a name.
-
-        Raises:
-            ArgumentError: There are none.
-            EpisodeFileError: They cannot be read.
-        """
-        found = cls.new_or_begun(run, name)
-        if not found.graded:
-            there = sorted(path.stem for path in folder_of(run).glob("*.jsonl"))
-            listed = f" There are: {', '.join(there)}" if there else f" Run 'gem score {run.path} --grader …'"
-            raise ArgumentError(f"{run.path} has no scores {name!r}.{did_you_mean(name, there)}{listed}")
-        return found
-
-    def means(self) -> dict[int, float | None]:
-        """Return for each episode the mean of its repeats; None where there is none that can tell."""
-        by_episode = grouped(self.graded.values(), lambda grade: grade.episode)
-        values = {number: [each.value for each in own if each.value is not None] for number, own in by_episode.items()}
-        return {number: math.fsum(own) / len(own) if own else None for number, own in values.items()}
+            raise EpisodeFileError(f"cannot read {self.path}: {error.strerror or error}") from error
 
     def begin(self, grader: Mapping[str, Any], *, overwrite: bool = False) -> None:
         """Open the file to append; of a new one, write what grades to its first line.
@@ -140,14 +96,14 @@ class ScoreFile:
             self._write({"grader": told})
         self.grader = told
 
-    def add(self, graded: Grade) -> None:
-        """Append a line.
+    def add(self, episode: int, grade: Grade) -> None:
+        """Append the grade of an episode.
 
         Raises:
             EpisodeFileError: It cannot be written.
         """
-        self._write(asdict(graded))
-        self.graded[graded.episode, graded.repeat] = graded
+        self._write({"episode": episode, **asdict(grade)})
+        self.graded[episode] = grade
 
     def close(self) -> None:
         """Close the file; what is added later is not written."""
@@ -172,15 +128,30 @@ class ScoreFile:
             self._whole += len(line)
             try:
                 record = json.loads(line)
-                if isinstance(record, dict) and "grader" in record:
+                if "grader" in record:
                     self.grader = record["grader"]
                 else:
-                    graded = Grade.from_dict(record)
-                    self.graded[graded.episode, graded.repeat] = graded
-            except (ValueError, RecursionError, EpisodeFileError) as error:
+                    number = int(record.pop("episode"))
+                    self.graded[number] = Grade(**record)
+            except (ValueError, RecursionError, KeyError, TypeError) as error:
                 raise EpisodeFileError(
                     f"cannot read {self.path}: a line is damaged ({error}); delete the file"
                 ) from error
+
+
+def values_of(run: Run, name: str) -> dict[int, float | None]:
+    """Return the scores of a name, by the number of the episode; None where the grader could not tell.
+
+    Raises:
+        ArgumentError: There are none.
+        EpisodeFileError: They cannot be read.
+    """
+    found = ScoreFile(run, name)
+    if not found.graded:
+        there = sorted(path.stem for path in folder_of(run).glob("*.jsonl"))
+        listed = f" There are: {', '.join(there)}" if there else f" Run 'gem score {run.path} --grader …'"
+        raise ArgumentError(f"{run.path} has no scores {name!r}.{did_you_mean(name, there)}{listed}")
+    return {number: grade.value for number, grade in found.graded.items()}
 
 
 def folder_of(run: Run) -> Path:

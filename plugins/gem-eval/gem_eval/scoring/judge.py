@@ -6,6 +6,7 @@ import json
 from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any
 
+from gem_eval.scoring.file import Grade
 from gem_eval.turns import parts_of, text_of
 
 if TYPE_CHECKING:
@@ -32,10 +33,10 @@ _LONGEST_TRANSCRIPT = 100_000
 _LONGEST_REASON = 500
 
 
-def model_judge(agent: Agent, rubric: str = RUBRIC) -> Callable[[Episode], Awaitable[tuple[bool | None, str]]]:
+def model_judge(agent: Agent, rubric: str = RUBRIC) -> Callable[[Episode], Awaitable[Grade]]:
     """Return what asks a model whether an episode passes a rubric.
 
-    It returns the verdict, None where the judge cannot tell, and the end of what it said.
+    Its grade has the verdict, None where the judge cannot tell, and the end of what it said.
 
     Args:
         agent: The model, with ``SYSTEM`` as its system text.
@@ -45,9 +46,9 @@ def model_judge(agent: Agent, rubric: str = RUBRIC) -> Callable[[Episode], Await
 
     judge = ModelJudge(agent, {"PASS": True, "FAIL": False, "UNKNOWN": None})
 
-    async def grade(episode: Episode) -> tuple[bool | None, str]:
+    async def grade(episode: Episode) -> Grade:
         verdict, reply = await judge.ask(*asked(episode, rubric), episode=f"{episode.key}.{episode.repeat}")
-        return verdict, reply[-_LONGEST_REASON:]
+        return Grade(None if verdict is None else float(verdict), note=reply[-_LONGEST_REASON:])
 
     return grade
 
