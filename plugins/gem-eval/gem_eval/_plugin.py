@@ -8,7 +8,7 @@ from gem_core import CommandSpec, WrapperSpec, hookimpl
 
 _COMMANDS = {
     "eval": ("running.command", "Score models on suites, with intervals, and record the run."),
-    "show": ("show.command", "Show recorded episodes: a list, one of them, two compared, or a page."),
+    "show": ("show.command", "Show recorded episodes: a list, one of them, or a page."),
     "view": ("viewing.command", "Look at runs in the browser: scores, a table of episodes, and each of them."),
     "audit": ("auditing.command", "Check environments: gold answers, exploits, leaks, duplicates."),
     "compare": (

@@ -1,4 +1,4 @@
-"""An episode as it is shown, in a terminal, in a comparison and in a page: its turns in pieces of text."""
+"""An episode as it is shown, in a terminal and in a page: its turns in pieces of text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""gem show: lists, filters, one episode, two compared, and what it says of files that are none."""
+"""gem show: lists, filters, one episode, and what it says of files that are none."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from gem_core.cli import main
 from gem_core.testing import check_plugin
 from gem_eval.filters import parse_comparison
 from gem_eval.records import RunWriter, open_run
-from gem_eval.show.diff import diff_lines
 from gem_eval.show.lines import episode_lines, list_lines
 from gem_eval.show.text import escaped, highlighted, one_line
 from gem_eval.turns import parts_of, turn_views
@@ -183,31 +182,6 @@ def test_folding_loses_nothing(start: str, one: str, other: str) -> None:
     assert all(before.startswith(piece.text) for piece in pieces if piece.repeated)
 
 
-def test_a_diff_says_where_two_episodes_of_one_start_part(show) -> None:
-    """What is alike is counted, what is not stands with its sign."""
-    lines = show("--diff", "1", "2").out.splitlines()
-    assert lines[0] == "- episode 1 · maze:Room-v0 · success, return 0.75, 3 turns, seed 7"
-    assert lines[2].startswith("They share a start")
-    assert lines[4:6] == ["They part at turn 2, with the response.", "… 1 turn alike"]
-    at = lines.index("  response")
-    assert lines[at + 1 : at + 5] == [
-        "-   go", "- reward  -0.5, cut off at the token limit", "+   stay", "+ reward  0, terminated",
-    ]  # fmt: skip
-    assert lines[-2:] == ["- You are outside.", "+ Night falls."]
-    assert "environment maze:Room-v0 and chat:Talk-v0; seed 7 and 3" in show("--diff", "1", "3").out
-
-
-def test_a_diff_of_episodes_that_are_alike_says_so() -> None:
-    """And one whose environment answers alike with something else."""
-    same = plain(diff_lines((1, 2), (maze(), maze())))
-    assert same[-1] == "All 3 turns are alike."
-    other = maze()
-    other.transitions[1].observation = "Another room."
-    assert "They part at turn 2, with the observation, although all before it was alike." in [
-        *plain(diff_lines((1, 2), (maze(), other)))
-    ]
-
-
 @pytest.mark.parametrize("make", [maze, failed, broken, hostile])
 @settings(deadline=None)
 @given(text=ANY_TEXT)
@@ -218,7 +192,7 @@ def test_no_text_of_others_reaches_the_terminal_as_it_is(make, text: str) -> Non
     episode.transitions[0].action = Response(text, reasoning=text, model=text)
     episode.transitions[0].info[text] = text
     episode.final_observation, episode.id, episode.seed = text, text, text
-    for line in plain([*episode_lines(episode, 1), *diff_lines((1, 2), (episode, maze()))]):
+    for line in plain(episode_lines(episode, 1)):
         assert "\n" not in line
         assert escaped(line) == line
         line.encode("utf-8")
@@ -275,7 +249,6 @@ def test_what_is_no_file_of_episodes_gets_one_line(show, content: bytes | None, 
     ("arguments", "value"),
     [
         (["6"], "which has 5"),
-        (["1", "--diff", "1", "2"], "--diff"),
         (["--html", "x.html", "--json"], "--json"),
         (["--html", "run.jsonl"], "run.jsonl"),
         (["--html", "x.html", "--env", "zz"], "no page"),

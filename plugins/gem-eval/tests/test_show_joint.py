@@ -107,8 +107,6 @@ def test_one_seat_is_shown_as_an_episode_of_its_own(show) -> None:
     assert json.loads(show("1", "--seat", "black", "--json")[1])["seat"] == "black"
     _, row = show("--seat", "black")[1].splitlines()[:2]
     assert row.split() == ["1", "duel:Words-v0", "failure", "0.5", "2", "4", "g2", "black=random"]
-    _, out, _ = show("--diff", "1", "2", "--seat", "white")
-    assert "All 2 turns are alike, but not what came last.\n" in out
 
 
 def test_hostile_names_of_seats_and_agents_are_escaped() -> None:
@@ -125,7 +123,6 @@ def test_hostile_names_of_seats_and_agents_are_escaped() -> None:
     [
         (["1", "--seat", "whit"], "'white'"),
         (["3", "--seat", "white"], "--seat"),
-        (["--diff", "1", "2"], "--seat white"),
     ],
 )
 def test_seats_that_do_not_fit_are_refused(show, arguments: list[str], value: str) -> None:

@@ -14,8 +14,6 @@ from gem_eval.settings import asked_differently, asked_of, code_in, differing, s
 if TYPE_CHECKING:
     from gem_eval.comparing.sides import Side, Task
 
-_SKEWED = 4
-
 _STARTS = {"kwargs": "arguments", "wrappers": "wrappers", "tools": "tools", "system": "system prompt"}
 
 
@@ -36,7 +34,6 @@ def cautions_of(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
     if all(run.info for run in runs):
         found += _of_settings(a, b)
     told = a.run is b.run or (a.run.is_folder and b.run.is_folder)
-    found += _of_epochs(a, b, paired)
     return found + _of_seeds(a, b, paired) + list(_of_records(a, b, paired, told=told))
 
 
@@ -56,20 +53,6 @@ def _of_settings(a: Side, b: Side) -> Iterator[str]:
         sampling = ({"": each["model"][side.model]["options"]} for each, side in ((one, a), (other, b)))
         if told := differing(*sampling):
             yield f"the sampling differs: {told}"
-
-
-def _of_epochs(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
-    """Warn where one side played rows so much oftener that differences of rare successes are skewed.
-
-    By simulation of 40 rows that are solved once in 16 times, at a level of 5 %: 7 % false alarms with one epoch and
-    four, 10 % with one and eight, 2 % with two and four.
-    """
-    shared = set(paired)
-    epochs = [sum((row.id, row.row) in shared for row in side.rows) / max(len(shared), 1) for side in (a, b)]
-    if max(epochs) < _SKEWED * min(epochs):
-        return []
-    told = " and ".join(f"{count:.3g}" for count in epochs)
-    return [f"the epochs of a row differ: {told} in the mean; where successes are rare, p-values are then too small"]
 
 
 def _of_seeds(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:

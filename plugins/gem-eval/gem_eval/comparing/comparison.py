@@ -196,10 +196,9 @@ def compare(
     return compare_sides(sides[0], sides[1], metric or default_metric(sides), scores)
 
 
-def compare_all(sides: Sequence[Side], metric: Metric, scores: str | None = None) -> list[Comparison]:
-    """Compare each two of several sides; p-values of the overall differences are corrected for the number of pairs."""
-    pairs = [(a, b) for place, a in enumerate(sides) for b in sides[place + 1 :]]
-    found = [compare_sides(a, b, metric, scores) for a, b in pairs]
+def compare_with_first(sides: Sequence[Side], metric: Metric, scores: str | None = None) -> list[Comparison]:
+    """Compare each of several sides with the first; p-values of the overall differences are corrected for all."""
+    found = [compare_sides(sides[0], other, metric, scores) for other in sides[1:]]
     overall = _corrected([each.overall for each in found])
     return [replace(each, overall=one) for each, one in zip(found, overall, strict=True)]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Sequence
-from functools import partial
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import click
@@ -24,69 +24,55 @@ _TESTS = {"mcnemar": "McNemar's exact test", "permutation": "a permutation test 
 
 
 def print_comparison(comparison: Comparison) -> None:
-    """Write two sides: the table, the verdict, and what was left out."""
-    a, b = one_line(comparison.a.label), one_line(comparison.b.label)
+    """Write two sides: the table, the verdict, what was left out, and what flipped."""
     _print_cautions([comparison])
-    click.echo(f"A is {a}, B is {b}. Each row that both have is a pair.")
-    click.echo()
+    a, b = one_line(comparison.a.label), one_line(comparison.b.label)
+    click.echo(f"A is {a}, B is {b}. Each row that both have is a pair.\n")
     several = len(comparison.tasks) > 1
-    print_table(_columns(comparison, several), [*comparison.tasks, comparison.overall][: None if several else 1])
+    rows = [*comparison.tasks, comparison.overall] if several else comparison.tasks
+    print_table(_columns(comparison, "task", corrected=several), rows)
     click.echo()
     for line in _verdict_lines(comparison):
         echo_line(line)
+    for line in _flip_lines(comparison):
+        click.echo(line)
 
 
-def print_matrix(sides: Sequence[Side], comparisons: Sequence[Comparison]) -> None:
-    """Write several sides: what each has over each other."""
+def print_comparisons(comparisons: Sequence[Comparison]) -> None:
+    """Write what each of several sides has over the first."""
     _print_cautions(comparisons)
-    metric = _shown_as(comparisons[0])
-    found = {(each.a.label, each.b.label): each for each in comparisons}
-
-    def cell(row: Side, column: Side) -> str:
-        if row is column:
-            return "·"
-        direct = found.get((column.label, row.label))
-        overall = (direct or found[row.label, column.label]).overall
-        if overall.difference is None:
-            return "-"
-        gain = overall.difference.mean if direct else -overall.difference.mean
-        star = "*" if overall.significant else ""
-        return f"{figures.change(gain + 0.0, metric)} ({figures.p_value(overall.p_holm)}){star}"
-
-    what = _called(comparisons[0])
-    echo_line(f"The {what} of the run at the left, less that of the run above, on the rows that both have.")
-    click.echo()
-    columns = [Column("run", lambda row: one_line(row.label), name=True)]
-    columns += [Column(one_line(side.label), partial(cell, column=side)) for side in sides]
-    print_table(columns, sides)
-    click.echo()
+    first = comparisons[0]
+    click.echo(f"A is {one_line(first.a.label)}; each other run is a B, on the rows that both have.\n")
+    print_table(
+        _columns(first, "run", corrected=True),
+        [replace(each.overall, id=each.b.label, p=each.overall.p_holm) for each in comparisons],
+    )
     tests = " or ".join(dict.fromkeys(_TESTS[each.overall.test] for each in comparisons))
     corrected = _corrected_for([each.overall for each in comparisons], "pair")
-    echo_line(f"p by {tests}, corrected by Holm for {corrected}; * is below 0.05.")
+    echo_line(f"\np by {tests}, corrected by Holm for {corrected}.")
 
 
-def flip_lines(comparison: Comparison, *, every: bool = False) -> Iterator[str]:
+def _flip_lines(comparison: Comparison) -> Iterator[str]:
     """Yield the lines of the rows that only one side solved, each with what shows both episodes."""
     flips, verdicts = comparison.flips, comparison.overall.only_a is not None
     if not flips:
         return
-    yield ""
-    yield f"{counted(len(flips), 'row')} {'that only one solved' if verdicts else 'that differ'}:"
-    for flip in flips if every else flips[:_MOST_FLIPS]:
+    yield f"\n{counted(len(flips), 'row')} {'that only one solved' if verdicts else 'that differ'}:"
+    for flip in flips[:_MOST_FLIPS]:
         gain = figures.change(flip.b - flip.a, "return")
         change = ("only A" if flip.a > flip.b else "only B") if verdicts else gain
         one, other = flip.episode_a.number, flip.episode_b.number
         yield f"  {change}  {one_line(flip.row, 100)}  (episodes: A {one}, B {other})"
         yield f"    {_show_command(comparison.a, one)}; {_show_command(comparison.b, other)}"
-    if not every and len(flips) > _MOST_FLIPS:
-        yield f"  … and {len(flips) - _MOST_FLIPS} more; --all lists them"
+    if len(flips) > _MOST_FLIPS:
+        yield f"  … and {len(flips) - _MOST_FLIPS} more; --json lists them"
 
 
 def _show_command(side: Side, number: int) -> str:
     return f"gem show {shlex.quote(str(side.run.path))} {number}"
 
 
-def _columns(comparison: Comparison, several: bool) -> list[Column]:
+def _columns(comparison: Comparison, named: str, *, corrected: bool) -> list[Column]:
     metric = _shown_as(comparison)
 
     def mean(row: Difference) -> str:
@@ -96,13 +82,13 @@ def _columns(comparison: Comparison, several: bool) -> list[Column]:
         return "-" if row.difference is None else figures.change_bounds(row.difference.low, row.difference.high, metric)
 
     columns = [
-        Column("task", lambda row: one_line(row.id), name=True),
+        Column(named, lambda row: one_line(row.id), name=True),
         Column("rows", lambda row: str(row.rows)),
         Column("A", lambda row: figures.score(row.a, metric)),
         Column("B", lambda row: figures.score(row.b, metric)),
         Column("B - A", mean),
         Column("95 % interval", ends),
-        Column("p, corrected" if several else "p", lambda row: figures.p_value(row.shown_p)),
+        Column("p, corrected" if corrected else "p", lambda row: figures.p_value(row.shown_p)),
     ]
     if comparison.overall.only_a is not None:
         columns += [

@@ -141,7 +141,7 @@ def _print(found: Replay, written: str | None) -> None:
         click.echo(line)
     path = shlex.quote(written)
     click.echo(f"\nWritten to {written}, the original as episode 1:")
-    click.echo(f"  gem show {path}\n  gem show {path} --diff 1 2")
+    click.echo(f"  gem show {path}\n  gem compare {path}")
 
 
 def _as_dict(found: Replay, written: str | None) -> dict[str, Any]:

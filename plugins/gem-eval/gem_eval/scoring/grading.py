@@ -128,7 +128,7 @@ class Grader(NamedTuple):
 
     name: str
     described: Mapping[str, Any]
-    function: Callable[[Episode], Any]
+    function: Any
     agent: Agent | None = None
 
 

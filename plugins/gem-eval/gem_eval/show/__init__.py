@@ -1,1 +1,1 @@
-"""``gem show``: a list of episodes, one of them turn by turn, two compared, or a page for the browser."""
+"""``gem show``: a list of episodes, one of them turn by turn, or a page for the browser."""

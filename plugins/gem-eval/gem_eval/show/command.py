@@ -36,7 +36,6 @@ Examples:
   gem show runs/mine.jsonl --grep Traceback --json
   gem show runs/mine.jsonl --sort return --reverse --limit 10
   gem show runs/mine.jsonl 17                         one episode, turn by turn
-  gem show runs/mine.jsonl --diff 17 21               where two episodes of one start differ
   gem show runs/mine.jsonl --html mine.html           a page for the browser, in one file
   gem show runs/games.jsonl --seat white --success    the games that white won
   gem show runs/games.jsonl 3 --seat white            one of them as white saw it
@@ -72,14 +71,12 @@ the one asked for is damaged, 2 for a wrong argument.
 @click.option(
     "--limit", type=click.IntRange(min=1), help=f"Most episodes to show.  [default: all; {_HTML_LIMIT} with --html]"
 )
-@click.option("--diff", nargs=2, metavar="A B", type=click.IntRange(min=1), help="Show where two episodes differ.")
 @click.option("--html", metavar="OUT", type=click.Path(dir_okay=False), help="Write one page that needs no network.")
 @click.option("--full", is_flag=True, help="Also show long infos, and what observations repeat.")
 @click.option("--json", "as_json", is_flag=True, help="Write the list, or the episode N, as JSON.")
 def command(
     path: str,
     number: int | None,
-    diff: tuple[int, int] | None,
     seat: str | None,
     html: str | None,
     full: bool,
@@ -89,12 +86,10 @@ def command(
     limit: int | None,
     **conditions: Any,
 ) -> None:
-    """Show recorded episodes: a list, one of them turn by turn, two compared, or a page for the browser.
+    """Show recorded episodes: a list, one of them turn by turn, or a page for the browser.
 
     RUN is a folder that 'gem eval' wrote, or a file of 'gem run'. N is the number of one episode.
     """
-    if diff is not None and (number is not None or html is not None or as_json):
-        raise ArgumentError("--diff goes with no other form: leave out N, --html and --json")
     if html is not None and as_json:
         raise ArgumentError("--html and --json are two forms; choose one")
     if isinstance(sys.stdout, io.TextIOWrapper):
@@ -102,9 +97,7 @@ def command(
     run = Run(path, read=False, joint=True)
     if not (run.refresh() if run.is_folder else os.path.getsize(path)):
         raise EpisodeFileError(f"{path} is empty: it holds no episodes (yet)")
-    if diff is not None:
-        _show_diff(run, diff, seat)
-    elif number is not None and html is None:
+    if number is not None and html is None:
         _show_episode(run, number, seat, full, as_json)
     else:
         rows = run.read_all() if seat is None else at_seat(run.read_all(), seat)
@@ -163,21 +156,6 @@ def _read(run: Run, row: Row, seat: str | None) -> Record:
             f"{', '.join(map(one_line, record.seats))}"
         )
     return record.seats[seat]
-
-
-def _show_diff(run: Run, numbers: tuple[int, int], seat: str | None) -> None:
-    from gem_eval.show.diff import diff_lines
-
-    one, other = (_one_seat(run, number, seat) for number in numbers)
-    write_lines(diff_lines(numbers, (one, other)))
-
-
-def _one_seat(run: Run, number: int, seat: str | None) -> Episode:
-    record = _read(run, run.row(number), seat)
-    if isinstance(record, Episode):
-        return record
-    options = " or ".join(f"--seat {one_line(each)}" for each in record.seats)
-    raise ArgumentError(f"episode {number} is of several agents: --diff compares what one of them saw, with {options}")
 
 
 def _write_page(run: Run, rows: Iterator[Row], seat: str | None, out: str, limit: int) -> None:
