@@ -2,44 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import re
-import shutil
 import sys
-import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
-
-import click
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from gem_core.errors import ArgumentError, NotSupportedError
 from gem_core.suggestions import did_you_mean
 from gem_core.types import Observation
 
 BLOCK = '"""'
+"""The line before and after an answer of several lines."""
 
-_MOST_COLUMNS = 100
-# Control characters, on which a terminal acts instead of showing them. Colours (SGR) pass where an environment draws.
 _CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
-_CONTROLS_BUT_COLOURS = re.compile(r"\x1b(?!\[[\d;]*m)|[\x00-\x08\x0b-\x1a\x1c-\x1f\x7f-\x9f]")
-
-
-class EndOfInput(Exception):
-    """There is nothing more to read: Ctrl-D, or the end of a pipe."""
-
-
-class Typed(NamedTuple):
-    """A typed answer.
-
-    Args:
-        text: The answer, or the name of a command.
-        is_command: Whether it is a command.
-    """
-
-    text: str
-    is_command: bool = False
+"""Control characters, on which a terminal acts instead of showing them."""
 
 
 class Terminal:
@@ -50,158 +27,90 @@ class Terminal:
     """
 
     def __init__(self, *, err: bool = False) -> None:
-        self._err = err
+        from rich.console import Console  # not before something is shown
+
+        self.console = Console(stderr=err, highlight=False)
         self.interactive = sys.stdin.isatty()
         """Whether a person types, who can be asked."""
-        self.drawn = (sys.stderr if err else sys.stdout).isatty()
-        """Whether what is shown goes to a terminal."""
-        self.colours = self.drawn and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
-        self._edited = self.interactive and sys.stdout.isatty()
         for stream, errors in ((sys.stdin, "replace"), (sys.stderr if err else sys.stdout, "backslashreplace")):
             if hasattr(stream, "reconfigure"):
                 stream.reconfigure(errors=errors)  # bytes that are no text are shown, and do not raise
 
-    def _wrapped(self, text: str) -> str:
-        """Return text with long lines broken between words, in a terminal; indented lines stay."""
-        if not self.drawn:
-            return text
-        width = min(shutil.get_terminal_size((_MOST_COLUMNS, 24)).columns, _MOST_COLUMNS)
-        lines = []
-        for line in text.split("\n"):
-            fits = len(line) <= width or line[:1].isspace()
-            lines += [line] if fits else textwrap.wrap(line, width, break_on_hyphens=False)
-        return "\n".join(lines)
+    def show(self, text: str = "", style: str = "") -> None:
+        """Write text with control characters made visible; in a terminal, long lines are broken between words."""
+        from rich.text import Text
 
-    def _echo(self, text: str, **style: Any) -> None:
-        click.echo(click.style(text, **style) if style else text, err=self._err, color=self.colours)
-
-    def show(self, text: str = "", **style: Any) -> None:
-        """Write text of our own and a line break; in a terminal, long lines are broken between words."""
-        self._echo(self._wrapped(text), **style)
-
-    def show_plainly(self, text: str) -> None:
-        """Write text of an environment with control characters made visible; long lines are broken between words."""
-        self._echo(self._wrapped(printable(text)))
+        self.console.print(Text(printable(text)), style=style, soft_wrap=not self.console.is_terminal)
 
     def show_drawing(self, text: str) -> None:
         """Write an environment's drawing, in colours if the terminal shows colours."""
-        self._echo(_CONTROLS_BUT_COLOURS.sub(_visible, text))
+        from rich.text import Text
+
+        # Of what begins with an escape character, rich keeps colours alone.
+        drawn = "\x1b".join(map(printable, text.split("\x1b")))
+        self.console.print(Text.from_ansi(drawn), soft_wrap=True)
 
     def show_exactly(self, text: str) -> None:
-        """Write text to the letter, and a line break if it has none at its end.
-
-        On a terminal, control characters are made visible, since it would act on them.
-        """
-        if self.drawn:
-            text = printable(text)
-        click.echo(text, nl=not text.endswith("\n"), err=self._err, color=True)
-
-    def ask(self, prompt: str) -> Typed:
-        r'''Return the next answer or command.
-
-        ``"""`` begins a block of lines, in which nothing is a command. A lone ``?`` and what begins with ``!`` are
-        commands; ``!!`` begins an answer with ``!``.
-
-        Raises:
-            EndOfInput: There is nothing more.
-        '''
-        while True:
-            line = self.line(prompt)
-            words = line.strip()
-            if line.startswith(BLOCK):
-                return Typed(self._block(line.removeprefix(BLOCK)))
-            if words == "?":
-                return Typed("help", True)
-            if words.startswith("!") and not words.startswith("!!"):
-                return Typed(words[1:].strip(), True)
-            if words:
-                return Typed(words[1:] if words.startswith("!!") else line.rstrip())
-            if self.interactive:
-                self.show(f"Type an answer, or ? for help. {BLOCK * 2} is the empty answer.", dim=True)
-
-    def ask_for_answer(self, prompt: str, answer_of: Callable[[Typed], str | None]) -> str:
-        """Ask until what was typed gives an answer.
-
-        Args:
-            prompt: Text before the answer.
-            answer_of: Returns the answer, or None for a command that gives none; what is wrong with it is shown.
-
-        Raises:
-            EndOfInput: There is nothing more.
-        """
-        while True:
-            typed = self.ask(prompt)
-            try:
-                answer = answer_of(typed)
-            except (ArgumentError, NotSupportedError) as error:
-                self.show(f"{error}.", fg="yellow")
-                continue
-            if answer is not None:
-                return answer
+        """Write text to the letter, in a terminal with control characters made visible; a line break ends it."""
+        text = printable(text) if self.console.is_terminal else text
+        self.console.file.write(text if text.endswith("\n") else f"{text}\n")
 
     def line(self, prompt: str) -> str:
         """Return the next line that is typed.
 
         Raises:
-            EndOfInput: There is nothing more.
+            EOFError: There is nothing more: Ctrl-D, or the end of a pipe.
         """
-        if self._edited:
-            with contextlib.suppress(ImportError):
-                import readline  # noqa: F401 - gives input() keys to edit a line, and earlier lines
-            try:
-                return input(self._coloured(prompt))
-            except EOFError:
-                click.echo()
-                raise EndOfInput from None
-            except KeyboardInterrupt:
-                click.echo()  # so that what follows does not stand behind the prompt
-                raise
-        if self.interactive:
-            click.echo(prompt, nl=False, err=True)
-        line = sys.stdin.readline()
-        if not line:
-            raise EndOfInput
-        return line.removesuffix("\n")
+        if not self.interactive:
+            return input()
+        import readline  # noqa: F401 - gives input() keys to edit a line, and earlier lines
 
-    def _coloured(self, prompt: str) -> str:
-        # \001 and \002 tell readline that what stands between them takes no room.
-        return f"\001\x1b[1;36m\002{prompt}\001\x1b[0m\002" if self.colours else prompt
+        if not sys.stdout.isatty():
+            sys.stderr.write(prompt)  # standard output is for something else
+        try:
+            return input(prompt if sys.stdout.isatty() else "")
+        except (EOFError, KeyboardInterrupt):
+            self.console.print()  # what follows begins on a line of its own
+            raise
 
-    def _block(self, first: str) -> str:
-        if first.rstrip().endswith(BLOCK):
-            return first.rstrip().removesuffix(BLOCK)
-        lines = [first] if first.strip() else []
-        # Opened by a line of its own, it is closed by a line of its own: code may have a docstring.
-        alone = not lines
+    def ask(self, prompt: str, commands: Mapping[str, Callable[[], str | None]]) -> str:
+        r'''Return the next answer: a line, the lines between two lines of ``"""``, or what a command gives.
+
+        Args:
+            prompt: Text before the answer.
+            commands: Called for a line such as ``!random``, by name, and ``help`` for ``?`` as well. One that returns
+                None gives no answer; an ``ArgumentError`` or ``NotSupportedError`` that it raises is shown.
+                ``!quit`` ends the input.
+
+        Raises:
+            EOFError: There is nothing more.
+        '''
         while True:
-            line = self.line("... ")
-            if line.rstrip() == BLOCK:
-                return "\n".join(lines)
-            if not alone and line.rstrip().endswith(BLOCK):
-                return "\n".join([*lines, line.rstrip().removesuffix(BLOCK)])
-            lines.append(line)
-
-
-def _visible(match: re.Match[str]) -> str:
-    return "".join(f"\\x{ord(character):02x}" for character in match[0])
-
-
-def resolve_abbreviation(typed: str, commands: Sequence[str]) -> str:
-    """Return the command that was typed, or cut short.
-
-    Raises:
-        ArgumentError: There is none, or several begin so.
-    """
-    found = [name for name in commands if name.startswith(typed.casefold())] if typed else []
-    if len(found) == 1:
-        return found[0]
-    listed = ", ".join(f"!{name}" for name in found or commands)
-    raise ArgumentError(f"no command '!{typed}'.{did_you_mean(typed, commands)} There are: {listed}, and ?")
+            line = self.line(prompt).rstrip()
+            if line == BLOCK:
+                return "\n".join(iter(lambda: self.line("... "), BLOCK))
+            if line != "?" and not line.startswith("!"):
+                if line:
+                    return line
+                continue
+            name = "help" if line == "?" else line[1:]
+            if name == "quit":
+                raise EOFError
+            try:
+                if name not in commands:
+                    listed = ", ".join(f"!{each}" for each in (*commands, "quit"))
+                    raise ArgumentError(f"no command '!{name}'.{did_you_mean(name, commands)} There are: {listed}")
+                answer = commands[name]()
+            except (ArgumentError, NotSupportedError) as error:
+                self.show(f"{error}.", "yellow")
+                continue
+            if answer is not None:
+                return answer
 
 
 def printable(text: str) -> str:
     """Return text with control characters made visible, but for tabs and line breaks."""
-    return _CONTROLS.sub(_visible, text)
+    return _CONTROLS.sub(lambda match: f"\\x{ord(match[0]):02x}", text)
 
 
 def observation_text(observation: Observation, save_image: Callable[[Any], object] | None = None) -> str:

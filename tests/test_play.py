@@ -145,10 +145,10 @@ def test_a_data_set_is_played_row_by_row(play) -> None:
 
 def test_answers_over_several_lines(play) -> None:
     """In a block, where nothing is a command; a backslash is one."""
-    typed = f'{BLOCK}\n?\n    """\n!undo\n{BLOCK}\n{BLOCK}a\nb{BLOCK}\n{BLOCK * 2}\n!!x\n\nback\\\\\nstop\n'
+    typed = f'{BLOCK}\n?\n    """\n!undo\n{BLOCK}\n{BLOCK}\n{BLOCK}\n\nback\\\\\nstop\n'
     play(ECHO, "-o", "a.jsonl", typed=typed)
     (episode,) = read_episodes("a.jsonl")
-    answers = ['?\n    """\n!undo', "a\nb", "", "!x", "back\\\\", "stop"]
+    answers = ['?\n    """\n!undo', "", "back\\\\", "stop"]
     assert [str(turn.action) for turn in episode.transitions] == answers
 
 
@@ -189,7 +189,7 @@ def test_control_characters_are_shown_and_not_obeyed(play) -> None:
 
 def test_undone_turns_are_in_no_record(play) -> None:
     """The board and the return are as before, and the record replays."""
-    out = play(BOARD, "-o", "a.jsonl", typed="x\na\n!u\n!undo\n!undo\na\nb\nc\nd\n").out
+    out = play(BOARD, "-o", "a.jsonl", typed="x\na\n!undo\n!undo\n!undo\na\nb\nc\nd\n").out
     assert "Taken back: \\boxed{a}\n\nNoted.\n\n  [x   ]\n" in out
     assert "there is no turn to take back.\n" in out
     (episode,) = read_episodes("a.jsonl")

@@ -89,16 +89,15 @@ def command(
     Answers:
       25           is sent as \boxed{25} if the environment expects a box, and likewise in a tag or a fenced
                    block. An answer in that form, a tool call, and all with --raw are sent unchanged.
-      two lines    Write them between two lines of triple quotes.
-      (nothing)    An empty line is ignored. Six quotes in a row are the empty answer.
+      two lines    Write them between two lines of triple quotes, in which nothing is a command.
+      (nothing)    An empty line is ignored.
       a typo       If the environment cannot read an answer, you answer again. With --raw it counts.
 
-    Commands; their first letters are enough, as in !u:
+    Commands:
       ?            the keys, the form of an answer, and the rules
       !undo        take the last turn back, if a seed and the actions repeat the episode
       !random      play a random valid action
       !quit        end, as Ctrl-D does
-      !!text       send the answer '!text'
 
     In a pipe, each line is an answer: to one episode, or to as many as --episodes says.
     There are no colours in a pipe, or if NO_COLOR is set.
@@ -107,7 +106,6 @@ def command(
     # Imported here, so that help and the completion of options need not wait for them.
     from gem_core.cli.play_session import PlaySession
     from gem_core.records.files import EpisodeWriter
-    from gem_core.terminal import EndOfInput
 
     record, kwargs = find_env(env_id)
     record, seated = _at_one_seat(record, seat, agents)
@@ -129,7 +127,7 @@ def command(
             seat=seated.get("seat"),
         )
         try:
-            with suppress(EndOfInput):
+            with suppress(EOFError):
                 session.play(episodes)
         finally:
             if writer is not None and not writer.count:

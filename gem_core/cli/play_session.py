@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
-from gem_core.agents.answer_form import AnswerForm
+from gem_core.agents.human import AnswerForm
 from gem_core.cli.layout import counted
 from gem_core.env.wrapper import AnyEnv
 from gem_core.errors import ArgumentError, EnvFaultError
@@ -23,7 +23,7 @@ from gem_core.records.plain_json import ImageFolder
 from gem_core.records.plans import EpisodeQueue, EpisodeStart
 from gem_core.rollouts.agent import Context
 from gem_core.rollouts.drivers import default_plan, rollout
-from gem_core.terminal import BLOCK, EndOfInput, Terminal, Typed, observation_text, printable, resolve_abbreviation
+from gem_core.terminal import BLOCK, Terminal, observation_text, printable
 from gem_core.types import TERMINAL_STATE, Info, Observation
 from gem_core.vector.vector_env import VectorEnv
 
@@ -34,8 +34,7 @@ _KEYS = f"""\
   !undo      take the last turn back
   !random    play a random valid action
   !quit      end, as Ctrl-D does
-  Commands may be cut short, as in !u. An answer that begins with ! is typed with two.
-  {BLOCK} begins and ends an answer of several lines."""
+  {BLOCK} on a line of its own begins and ends an answer of several lines, in which nothing is a command."""
 
 
 class _PlayAgain(Exception):
@@ -85,7 +84,7 @@ class PlaySession:
         """Play so many episodes; without a number, as long as the person wants, or one without a person.
 
         Raises:
-            EndOfInput: There was nothing more to read.
+            EOFError: There was nothing more to read.
         """
         asks = episodes is None and self._terminal.interactive
         while asks or len(self.finished) < (episodes or 1):
@@ -100,10 +99,10 @@ class PlaySession:
     def farewell(self, again: str) -> None:
         """Say where the episodes were written, and how to play the same again."""
         if self._context is not None:
-            self._terminal.show(f"Left unfinished after {counted(self._context.turn, 'turn')}.", fg="yellow")
+            self._terminal.show(f"Left unfinished after {counted(self._context.turn, 'turn')}.", "yellow")
         if self.writer is not None and self.finished:
             self._terminal.show(f"{counted(len(self.finished), 'episode')} written to {self.writer.path}.")
-        self._terminal.show(f"The same again: {again}", dim=True)
+        self._terminal.show(f"The same again: {again}", "dim")
 
     def _play_one(self, start: EpisodeStart) -> Episode:
         self._repeated, self._show = (), self._show_opening
@@ -122,7 +121,7 @@ class PlaySession:
             self._terminal.show(
                 f"{in_one_line(last.action)} was not played: it cannot be read, or breaks the rules. That would end "
                 "the episode, so it does not count: answer again, or type ? for help.",
-                fg="yellow",
+                "yellow",
             )
         episode.key = start.key
         if self.seat is not None:
@@ -138,34 +137,25 @@ class PlaySession:
             before = self._repeated[context.turn]
             if observation == before.observation:
                 return before.action
-            self._terminal.show("Played again, this environment went another way; go on from here.", fg="yellow")
+            self._terminal.show("Played again, this environment went another way; go on from here.", "yellow")
             self._repeated = ()
         self._show()
         self._show = self._show_turn
-        return self._terminal.ask_for_answer(f"turn {context.turn + 1}> ", lambda typed: self._answer(typed, context))
+        commands = {"help": self._show_help, "undo": self._undo, "random": context.sample_random_action}
+        answer = self._terminal.ask(f"turn {context.turn + 1}> ", commands)
+        return answer if self.raw else self._form(context).around(answer)
 
-    def _answer(self, typed: Typed, context: Context) -> str | None:
-        """Return the answer that was typed, or that a command gives."""
-        if not typed.is_command:
-            return typed.text if self.raw else self._form(context).around(typed.text, _tool_names(context))
-        match resolve_abbreviation(typed.text, ("help", "undo", "random", "quit")):
-            case "help":
-                self._show_help(context)
-                return None
-            case "random":
-                return context.sample_random_action()
-            case "undo":
-                if not context.transitions:
-                    raise ArgumentError("there is no turn to take back")
-                if not self.repeatable:
-                    raise ArgumentError(
-                        "turns of this environment cannot be taken back: a seed and the actions do not repeat it"
-                    )
-                self._terminal.show(f"Taken back: {in_one_line(context.transitions[-1].action)}", dim=True)
-                self._repeated, self._show = context.transitions[:-1], self._show_situation
-                raise _PlayAgain
-            case _:
-                raise EndOfInput
+    def _undo(self) -> None:
+        turns = cast("Context", self._context).transitions
+        if not turns:
+            raise ArgumentError("there is no turn to take back")
+        if not self.repeatable:
+            raise ArgumentError(
+                "turns of this environment cannot be taken back: a seed and the actions do not repeat it"
+            )
+        self._terminal.show(f"Taken back: {in_one_line(turns[-1].action)}", "dim")
+        self._repeated, self._show = turns[:-1], self._show_situation
+        raise _PlayAgain
 
     def _form(self, context: Context) -> AnswerForm:
         return AnswerForm.of_task(self._observation, context)
@@ -174,14 +164,14 @@ class PlaySession:
 
     def _show_opening(self) -> None:
         show, context = self._terminal.show, cast("Context", self._context)
-        show(f"\n{context.env_id} · episode {len(self.finished) + 1}", bold=True)
+        show(f"\n{context.env_id} · episode {len(self.finished) + 1}", "bold")
         if self.summary and not self.finished:
-            show(self.summary, dim=True)
-        form = None if self.raw else self._form(context)
-        show(f"An answer is sent as {in_one_line(str(form)) if form else 'you type it'}. Type ? for help.", dim=True)
+            show(self.summary, "dim")
+        form = "you type it" if self.raw else in_one_line(str(self._form(context)))
+        show(f"An answer is sent as {form}. Type ? for help.", "dim")
         if context.system:
             show()
-            self._terminal.show_plainly(self._text(context.system))
+            self._terminal.show(self._text(context.system))
         self._show_situation()
 
     def _show_situation(self) -> None:
@@ -203,38 +193,37 @@ class PlaySession:
             verdict = "Won, cut off" if episode.success else "Cut off"
         colour = {True: "green", False: "red", None: "yellow"}[episode.success]
         text = f"{verdict} after {counted(episode.turns, 'turn')}. Return {episode.episode_return:.4g}."
-        self._terminal.show(text, bold=True, fg=colour)
+        self._terminal.show(text, f"bold {colour}")
 
-    def _show_help(self, context: Context) -> None:
+    def _show_help(self) -> None:
         """Show the keys, the form of an answer, and the first observation, which has the rules."""
+        context = cast("Context", self._context)
         self._terminal.show(_KEYS)
         if context.tools:
-            self._terminal.show(f"  Tools: {', '.join(_tool_names(context))}. A call is sent as you type it.")
-        form = self._form(context)
-        self._terminal.show(f"  The form of an answer: {in_one_line(str(form)) if form else 'any text'}\n")
+            names = ", ".join(tool["function"]["name"] for tool in context.tools)
+            self._terminal.show(f"  Tools: {names}. A call is sent as you type it.")
+        self._terminal.show(f"  The form of an answer: {in_one_line(str(self._form(context)))}\n")
         first = context.transitions[0].observation if context.transitions else self._observation
-        self._terminal.show_plainly(self._text(first))
+        self._terminal.show(self._text(first))
 
     def _show_result(self, transitions: Sequence[Transition]) -> None:
         turn = transitions[-1]
         total = sum(each.reward for each in transitions)
         result = f"reward {turn.reward:.4g} · return {total:.4g}"
-        colour = "green" if turn.reward > 0 else "red" if turn.reward < 0 else None
-        self._terminal.show(
-            f"turn {len(transitions)} · {in_one_line(turn.action)} · {result}", fg=colour, bold=not self.exact
-        )
+        colour = "green" if turn.reward > 0 else "red" if turn.reward < 0 else ""
+        self._terminal.show(f"turn {len(transitions)} · {in_one_line(turn.action)} · {result}", f"bold {colour}")
 
     def _show_observation(self, observation: Observation, info: Info, title: str) -> None:
         show = self._terminal.show
         if self.exact:
-            show(f"──── {title} ".ljust(40, "─"), dim=True)
+            show(f"──── {title} ".ljust(40, "─"), "dim")
             self._terminal.show_exactly(self._text(observation))
-            show("─" * 40, dim=True)
+            show("─" * 40, "dim")
             return
         feedback, suffix = split_observation(observation, info)
         if feedback and feedback != TERMINAL_STATE:
             show()
-            self._terminal.show_plainly(self._text(feedback).strip("\n"))
+            self._terminal.show(self._text(feedback).strip("\n"))
         # The board shows a person what the suffix tells a model.
         board = self.env.render() if suffix and self.env.render_mode == "ansi" else None
         if isinstance(board, str) and board:
@@ -242,7 +231,7 @@ class PlaySession:
             self._terminal.show_drawing(textwrap.indent(board.strip("\n"), "  "))
         elif suffix:
             show()
-            self._terminal.show_plainly(self._text(suffix).strip("\n"))
+            self._terminal.show(self._text(suffix).strip("\n"))
         show()
 
     def _text(self, observation: Observation) -> str:
@@ -256,10 +245,6 @@ def in_one_line(text: str) -> str:
     """Return an action so that it fits into a line of a report."""
     line = printable(text.replace("\n", "⏎"))
     return line if len(line) <= _LONGEST_ACTION else f"{line[:_LONGEST_ACTION]}…"
-
-
-def _tool_names(context: Context) -> list[str]:
-    return [tool["function"]["name"] for tool in context.tools]
 
 
 def _was_not_played(turn: Transition) -> bool:
