@@ -33,7 +33,7 @@ FILE, MEMORY, UPDATES = {file!r}, {memory}, {updates}
 game = {{}} if MEMORY else {{"format_error_ends": False}}
 options = TrainOptions(env=("game:GuessTheNumber-v0",), env_kwargs=game, algorithm="rebn", episodes={episodes},
     updates=1000, feedback=True, memory=MEMORY, max_tokens=10, context=64 if MEMORY else 512, overlap={overlap},
-    imitate="gem_train.players:interval_player" if MEMORY else None, imitate_episodes=300, imitate_steps=60)
+    imitate="gem_train.gamma_study:interval_player" if MEMORY else None, imitate_episodes=300, imitate_steps=60)
 torch.set_num_threads(1)
 seconds = {{"playing": 0.0, "environment": 0.0, "learning": 0.0}}
 

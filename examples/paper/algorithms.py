@@ -8,7 +8,7 @@ has a critic (GAE) and takes eight clipped, smaller steps on each batch; GRPO co
 and gives all turns of an episode the same advantage.
 
 Before it learns, the policy imitates valid actions drawn at random, and thereby knows the form of an answer; it
-imitates players of gem_train.players in GuessTheNumber (any number of the interval that is left) and with the tool
+imitates the players of the other studies in GuessTheNumber (any number of the interval that is left) and with the tool
 (three times in ten, whatever is asked). In the table, "imitation" is that policy before it learns, and "random" are
 valid actions.
 
@@ -57,7 +57,7 @@ TASKS = {
         "memory": 1,
         "max_tokens": 10,
         "context": 64,
-        "imitate": "gem_train.players:interval_player",
+        "imitate": "gem_train.gamma_study:interval_player",
         "imitate_steps": 400,
     },
     "Mastermind": {
@@ -120,7 +120,7 @@ TASKS = {
         "memory": None,
         "max_tokens": 16,
         "context": 128,
-        "imitate": "gem_train.players:tool_player",
+        "imitate": "rewards:tool_player",
         "imitate_episodes": 2500,
         "imitate_steps": 500,
     },

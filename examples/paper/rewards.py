@@ -11,11 +11,14 @@ Compared are REINFORCE with rewards of 0 and 1, REINFORCE with -1 and 1, and Ret
 1. A call is a turn, and the discount from turn to turn is 0.8: a right answer after a call returns 0.8 to it.
 """
 
+import re
 from statistics import fmean
 
+import numpy as np
 from matplotlib.figure import Figure
 
 import gem_core as gem
+from gem_core.env import stable_hash
 from gem_train import TrainOptions
 from gem_train.reporting import mean_interval
 from gem_train.studies import evaluated, plot_seeds, print_rows, run_all, study_arguments, train_measured
@@ -44,6 +47,33 @@ gem.register(
 )
 
 
+QUESTION = re.compile(r"(\d+) ([+*]) (\d+)", re.ASCII)
+RESULT = re.compile(r"^Output of python:\n(\d+)$", re.ASCII | re.MULTILINE)
+USES_TOOL, ASKS_AGAIN, RIGHT_SUMS = 0.3, 0.2, 0.9
+
+
+def tool_player(observation, context):
+    r"""Answer a sum or a product of two numbers, three times in ten with the tool ``python``, whatever is asked.
+
+    By itself it is right about nine sums in ten, and never knows a product: it says that of any two such numbers. What
+    the tool said it answers, but one time in five it runs the same code again.
+    """
+    left, sign, right = QUESTION.findall(str(observation))[0]
+    shown = str(context.observation)
+    random = np.random.default_rng(stable_hash(context.info.get("seed"), context.episode, context.turn, shown))
+    result = RESULT.search(shown)
+    if random.random() < (ASKS_AGAIN if result else USES_TOOL):
+        return f"<python>{left} {sign} {right}</python>"
+    if result:
+        answer = result[1]
+    elif sign == "*":
+        answer = str(random.integers(11, 31) * random.integers(11, 31))
+    else:
+        slip = 0 if random.random() < RIGHT_SUMS else random.integers(-3, 4)
+        answer = str(max(int(left) + int(right) + slip, 0))
+    return f"\\boxed{{{answer}}}"
+
+
 def options_of(setting, seed):
     """Return the options of one run."""
     algorithm, failure_reward = SETTINGS[setting]
@@ -59,7 +89,7 @@ def options_of(setting, seed):
         learning_rate=7e-4,
         max_tokens=16,
         context=128,
-        imitate="gem_train.players:tool_player",
+        imitate=f"{__name__}:tool_player",
         imitate_episodes=2500,
         imitate_steps=500,
         eval_episodes=256,

@@ -15,15 +15,18 @@ TicTacToe: the share of games that are lost against a player that never loses, a
 the policy imitates random moves.
 """
 
+import re
 from collections import Counter
 from fractions import Fraction
 from functools import cache
 from statistics import fmean
 
+import numpy as np
 import torch
 from matplotlib.figure import Figure
 
 import gem_core as gem
+from gem_core.env import stable_hash
 from gem_games.kuhn_poker import KuhnPokerEnv, legal_moves
 from gem_games.kuhn_strategy import exploitability
 from gem_train import TokenBatch, TrainOptions
@@ -36,7 +39,7 @@ from gem_train.studies import evaluated, plot_seeds, print_rows, run_all, study_
 # Contexts are as long as the situation and the response: the rules are dropped.
 GAMES = {
     "KuhnPoker": {
-        "imitate": "gem_train.players:kuhn_player",
+        "imitate": f"{__name__}:kuhn_player",
         "imitate_steps": 150,
         "updates": 80,
         "episodes": 384,
@@ -70,6 +73,21 @@ for seat in ("X", "O"):
             seat=seat,
             others=opponent,
         )
+
+
+HAND = re.compile(r"player and hold the (jack|queen|king)\. Moves so far: ([a-z, ]+)\.")
+CHIPS = {"jack": 0.25, "queen": 0.5, "king": 0.75}
+
+
+def kuhn_player(observation, context):
+    r"""Play KuhnPoker: bet or call with the king three times of four, with the queen twice, with the jack once."""
+    shown = str(context.observation)
+    card, played = HAND.findall(shown)[-1]
+    random = np.random.default_rng(stable_hash(context.info.get("seed"), context.episode, context.turn, shown))
+    puts_in = random.random() < CHIPS[card]
+    if played.endswith("bet"):
+        return "\\boxed{call}" if puts_in else "\\boxed{fold}"
+    return "\\boxed{bet}" if puts_in else "\\boxed{check}"
 
 
 def options_of(game, baselines, seed):

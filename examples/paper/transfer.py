@@ -42,7 +42,7 @@ def options_of(trained, seed):
         memory=1,
         max_tokens=10,
         context=128,
-        imitate="gem_train.players:interval_player",
+        imitate="gem_train.gamma_study:interval_player",
         imitate_steps=500,
         eval_episodes=512,
     )

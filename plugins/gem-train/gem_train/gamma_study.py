@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,12 +22,16 @@ from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from gem_core.cli import AtLeast, echo_line
+from gem_core.env import stable_hash
 from gem_core.errors import MissingRequirementError
 from gem_train.learner.options import Algorithm, TrainOptions
 
 if TYPE_CHECKING:
+    from gem_core.rollouts import Context
+    from gem_core.types import Observation
     from gem_train.learner.training import Training
 
 LABELS: dict[Algorithm, str] = {"rebn": "ReBN", "reinforce": "REINFORCE"}
@@ -35,6 +40,24 @@ SETTINGS: tuple[tuple[Algorithm, float], ...] = tuple(
 )
 QUICK_SETTINGS = SETTINGS[:3]
 NUMBERS, MOST_TURNS, SHOWN_TURNS = 50, 10, 3
+
+_RANGE = re.compile(r"The number is from (-?\d+) to (-?\d+)\.", re.ASCII)
+_HINT = re.compile(r"(higher|lower) than (-?\d+)", re.ASCII)
+_SLIPS = 0.04
+
+
+def interval_player(observation: Observation, context: Context) -> str:
+    r"""Play GuessTheNumber: write down the interval that is left, then any number of it, as ``13 to 24 \boxed{18}``.
+
+    It seldom slips and names any number of the range, so that who imitates it has seen what comes of that.
+    """
+    shown = str(context.observation)
+    low, high = first = tuple(map(int, _RANGE.findall(shown)[-1]))
+    for side, number in _HINT.findall(shown.rpartition("Hints so far")[2]):
+        low, high = (max(low, int(number) + 1), high) if side == "higher" else (low, min(high, int(number) - 1))
+    random = np.random.default_rng(stable_hash(context.info.get("seed"), context.episode, context.turn, shown))
+    lowest, highest = first if random.random() < _SLIPS else (low, high)
+    return f"{low} to {high} \\boxed{{{random.integers(lowest, highest + 1)}}}"
 
 
 def options_of(algorithm: Algorithm, gamma: float, seed: int) -> TrainOptions:
@@ -51,7 +74,7 @@ def options_of(algorithm: Algorithm, gamma: float, seed: int) -> TrainOptions:
         memory=1,
         max_tokens=10,
         context=64,
-        imitate="gem_train.players:interval_player",
+        imitate=f"{__name__}:interval_player",
         imitate_steps=700,
         layers=1,
         heads=2,

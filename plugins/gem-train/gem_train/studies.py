@@ -73,8 +73,7 @@ def run_all(
     cut_half_line(path)
     kept = {_key(line["setting"]): line["result"] for line in read_jsonl(path)}
     waiting = [setting for setting in settings if _key(setting) not in kept]
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    processes = min(workers or processors, max(len(waiting), 1))
+    processes = min(workers or os.cpu_count() or 1, max(len(waiting), 1))
     with (
         path.open("a", encoding="utf-8") as file,
         Progress(len(waiting), folder.name, unit="runs") as progress,

@@ -16,7 +16,6 @@ import pytest
 import gem_core as gem
 from gem_core.rollouts import Context
 from gem_core.testing import check_env
-from gem_train.players import tool_player
 
 pytest.importorskip("torch")
 pytest.importorskip("gem_games")
@@ -110,7 +109,7 @@ def said(question: str, result: str | None = None) -> Counter[str]:
     conversation = f"{question}\n<python>…</python>\n{shown}" if result else question
     turn, info = 0 if result is None else 1, {"seed": 3}
     return Counter(
-        tool_player(
+        rewards.tool_player(
             conversation,
             Context(f"{episode}.0", SUMS_AND_PRODUCTS, None, turn, info, [], [], read_observation=lambda: shown),
         )
@@ -142,7 +141,7 @@ def test_player_solves_products_with_the_tool() -> None:
     """The answer of the real tool is read, and what is answered is right."""
     pytest.importorskip("gem_tools")
     with gem.make_vec(SUMS_AND_PRODUCTS, 8, wrappers=rewards.WRAPPERS, seed=0) as vec:
-        episodes = list(gem.rollout(vec, tool_player, episodes=40))
+        episodes = list(gem.rollout(vec, rewards.tool_player, episodes=40))
     used = [episode for episode in episodes if len(episode.transitions) > 1]
     assert len(used) > 5
     assert {episode.success for episode in used} == {True}

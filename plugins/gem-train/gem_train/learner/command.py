@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import json
+import os
 import shlex
 import signal
 import time
@@ -41,40 +41,21 @@ _SHARE = click.FloatRange(min=0, max=1)
 _BESIDE_RESUME = ("resume", "imports", "tensorboard", "wandb", "as_json")
 
 
-class _Option(click.Option):
-    """An option of a group in the help; its default is that of ``TrainOptions``."""
+def _options_of_a_run(*options: tuple[str, Any, str]) -> Callable[[Any], Any]:
+    """Return what adds options to a command: of each its name, its type or ``True`` for a flag, and its help.
 
-    def __init__(self, declarations: list[str], group: str = "", **attributes: Any) -> None:
-        name = declarations[0].removeprefix("--").replace("-", "_")
-        default = _DEFAULTS.get(name)
-        if default and "is_flag" not in attributes and not attributes.get("multiple"):
-            attributes |= {"default": default, "show_default": True}
-        super().__init__(declarations, **attributes)
-        self.group = group
-
-
-class _GroupedCommand(click.Command):
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        groups: dict[str, list[tuple[str, str]]] = {}
-        for parameter in self.get_params(ctx):
-            record = parameter.get_help_record(ctx)
-            if record is not None and isinstance(parameter, click.Option):
-                group = parameter.group if isinstance(parameter, _Option) else "Run and environments"
-                groups.setdefault(group, []).append(record)
-        for title, records in groups.items():
-            with formatter.section(title):
-                formatter.write_dl(records)
-
-
-def _group(title: str, *options: tuple[str, Any, str]) -> Callable[[Any], Any]:
-    """Return what adds options to a command: of each its name, its type or ``True`` for a flag, and its help."""
+    Their defaults are those of ``TrainOptions``.
+    """
 
     def add(command: Any) -> Any:
         for name, kind, text in reversed(options):
+            default = _DEFAULTS[name.removeprefix("--").replace("-", "_")] if kind is not True else None
             kwargs: dict[str, Any] = {"is_flag": True} if kind is True else {"type": kind}
+            if default:
+                kwargs |= {"default": default, "show_default": True}
             if isinstance(kind, click.FloatRange):
                 kwargs["metavar"] = "NUMBER"
-            command = click.option(name, cls=_Option, group=title, help=text, **kwargs)(command)
+            command = click.option(name, help=text, **kwargs)(command)
         return command
 
     return add
@@ -82,7 +63,6 @@ def _group(title: str, *options: tuple[str, Any, str]) -> Callable[[Any], Any]:
 
 @click.command(
     "train",
-    cls=_GroupedCommand,
     epilog="""\b
 Examples:
   gem train game:GuessTheNumber-v0-easy --out runs/guess
@@ -112,8 +92,7 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 @click.option("--tensorboard", is_flag=True, help="Write for TensorBoard as well, into FOLDER/tensorboard.")
 @click.option("--wandb", metavar="PROJECT", help="Log to a project of Weights & Biases as well.")
 @click.option("--json", "as_json", is_flag=True, help="Write the last metrics as JSON.")
-@_group(
-    "Algorithm",
+@_options_of_a_run(
     ("--algorithm", click.Choice(ALGORITHMS), "Estimator of advantages, and loss."),
     ("--gamma", _SHARE, "Discount from turn to turn; not for GRPO and RLOO."),
     ("--lam", _SHARE, "Lambda of GAE, for PPO."),
@@ -128,9 +107,6 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     ("--role-baselines", True, "Subtract a moving mean of each seat's returns, in self-play."),
     ("--failure-reward", float, "Added to the last reward of an episode that was not solved.  [default: 0]"),
     ("--overlap", True, "Play the next batch while learning from this one, one update off-policy."),
-)
-@_group(
-    "Policy",
     ("--feedback", True, "After the first turn, show only the environment's feedback, if it gives some."),
     ("--memory", AtLeast(min=0), "Earlier turns that the policy reads.  [default: all that fit in --context]"),
     ("--context", AtLeast(min=2), "Most tokens of a prompt and its response."),
@@ -139,9 +115,6 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
     ("--temperature", _ABOVE_0, "Temperature of sampling."),
     ("--layers", AtLeast(min=1), "Layers of the transformer."),
     ("--width", AtLeast(min=2), "Width of the transformer, a multiple of 4."),
-)
-@_group(
-    "Imitation, evaluation and checkpoints",
     ("--imitate", AGENTS, "Agent to imitate first: a name, MODULE:CALLABLE, or none."),
     ("--imitate-episodes", AtLeast(min=1), "Episodes that it plays."),
     ("--imitate-steps", AtLeast(min=1), "Steps of the optimizer, of 128 turns each."),
@@ -152,8 +125,6 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 @click.option(
     "--eval-env",
     "eval_envs",
-    cls=_Option,
-    group="Imitation, evaluation and checkpoints",
     multiple=True,
     type=ENVS,
     metavar="ID",
@@ -175,6 +146,7 @@ def command(
     Several environments are learned together. The policy is kept in a folder, and plays as the agent train:FOLDER.
     """
     # Imported here, so that help need not wait for them.
+    from gem_core.progress import Progress
     from gem_core.rollouts import current_folder_importable
 
     try:
@@ -190,16 +162,16 @@ def command(
         options = _options(given)
         _check_names(options)  # before a folder is made
         folder = Path(out) if out is not None else _new_folder(options)
-    shown = _Shown(options)
+    steps = options.imitate_steps if options.imitate else 0
     try:
-        with shown:
+        with Progress(steps + options.updates, "training", unit="steps and updates") as progress:
             metrics = train(
                 options,
                 folder,
                 tensorboard=tensorboard,
                 wandb=wandb,
-                on_imitation=shown.imitation,
-                on_update=shown.update,
+                on_imitation=lambda step, loss: progress.advance(step + 1, f"imitation, loss {loss:.3f}"),
+                on_update=lambda update, metrics: progress.advance(steps + update, _line(metrics)),
             )
     except KeyboardInterrupt:
         # A second Ctrl-C would cut off what is said after the first.
@@ -253,47 +225,9 @@ def _check_names(options: TrainOptions) -> None:
 
 
 def _new_folder(options: TrainOptions) -> Path:
-    name = f"train-{time.strftime('%Y%m%d-%H%M%S')}-{options.seed}"
-    for number in itertools.count(1):
-        folder = Path("runs", name if number == 1 else f"{name}-{number}")
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        return folder
-    raise StopIteration
-
-
-class _Shown:
-    """Progress of imitation, then of updates."""
-
-    def __init__(self, options: TrainOptions) -> None:
-        from gem_core.progress import Progress
-
-        self._options, self._make = options, Progress
-        self._progress: Any = None
-        self._unit = ""
-
-    def __enter__(self) -> _Shown:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._progress is not None:
-            self._progress.__exit__(*error)
-
-    def imitation(self, step: int, loss: float) -> None:
-        """Show a step of imitation."""
-        self._advance("imitation", "steps", self._options.imitate_steps, step + 1, f"loss {loss:.3f}")
-
-    def update(self, update: int, metrics: Mapping[str, float]) -> None:
-        """Show an update."""
-        self._advance("training", "updates", self._options.updates, update, _line(metrics))
-
-    def _advance(self, title: str, unit: str, total: int, done: int, status: str) -> None:
-        if unit != self._unit:
-            self.__exit__()
-            self._progress, self._unit = self._make(total, title, unit=unit).__enter__(), unit
-        self._progress.advance(done, status)
+    folder = Path("runs", f"train-{time.strftime('%Y%m%d-%H%M%S')}-{options.seed}-{os.getpid()}")
+    folder.mkdir(parents=True)
+    return folder
 
 
 def _line(metrics: Mapping[str, float | None], prefix: str = "") -> str:

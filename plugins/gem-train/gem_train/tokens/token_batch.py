@@ -168,7 +168,7 @@ class TokenBatch:
         _check_length("logprobs", logprobs, count)
         _check_length("seats", seats, total)
         number = _number_in_episode(owner)
-        by_token, too_long = _by_token(contexts, responses, logprobs, in_row, number, pad_id, max_length)
+        by_token, too_long = _laid_out(contexts, responses, logprobs, in_row, number, pad_id, max_length)
         usable = _column("learnable", learnable, count, np.bool_, default=True)
         known = _column("states", states, count, np.int64, default=np.arange(count))
         place, shape = (owner, number), (total, int(number.max(initial=-1)) + 1)
@@ -190,7 +190,7 @@ class TokenBatch:
         )
 
 
-def _by_token(
+def _laid_out(
     contexts: Sequence[Ids],
     responses: Sequence[Ids],
     logprobs: Sequence[Logprobs] | None,
@@ -213,28 +213,31 @@ def _by_token(
     Returns:
         The arrays of tokens by name, and which turns do not fit in their row.
     """
-    written, sampled = _lengths(contexts), _lengths(responses)
-    sizes = written + sampled
+    sizes = np.array([len(context) + len(said) for context, said in zip(contexts, responses, strict=True)], np.int64)
     row_sizes = np.bincount(in_row, sizes).astype(np.int64)
-    row_starts = np.cumsum(row_sizes) - row_sizes
+    shape = len(row_sizes), int(row_sizes.max(initial=0))
+    tokens, of_turn = np.full(shape, pad_id, np.int64), np.full(shape, -1, np.int64)
+    by_token = np.zeros(shape, np.float32)
+    ends = np.cumsum(sizes) - (np.cumsum(row_sizes) - row_sizes)[in_row]
+    for turn, (row, end, context, said) in enumerate(zip(in_row, ends, contexts, responses, strict=True)):
+        start = end - len(said)
+        tokens[row, start - len(context) : start] = context
+        tokens[row, start:end] = said
+        of_turn[row, start:end] = number[turn]
+        reported = None if logprobs is None else logprobs[turn]
+        if reported is not None and len(reported) != len(said):
+            raise ArgumentError(f"turn {turn} of the list has {len(said)} tokens and {len(reported)} logprobs")
+        by_token[row, start:end] = np.nan if reported is None else reported
     lengths = row_sizes if max_length is None else np.minimum(row_sizes, max_length)
-    too_long = np.cumsum(sizes) - row_starts[in_row] > lengths[in_row]
-
-    shape = len(lengths), int(lengths.max(initial=0))
-    rows = np.repeat(in_row, sizes)
-    columns = np.arange(len(rows)) - row_starts[rows]
-    kept = columns < shape[1]
-    marks = np.repeat(np.tile([False, True], len(sizes)), np.stack([written, sampled], axis=1).ravel())
-    everywhere, at_sampled = (rows[kept], columns[kept]), (rows[kept & marks], columns[kept & marks])
-    pieces = [piece for turn in zip(contexts, responses, strict=True) for piece in turn]
+    kept = slice(max_length)
     arrays = {
-        "tokens": _filled(shape, pad_id, np.int64, everywhere, _joined(pieces, np.int64)[kept]),
+        "tokens": tokens[:, kept],
         "lengths": lengths,
-        "token_mask": _filled(shape, False, np.bool_, at_sampled, True),
-        "logprobs": _filled(shape, 0, np.float32, at_sampled, _joined_logprobs(logprobs, sampled)[kept[marks]]),
-        "turn": _filled(shape, -1, np.int64, at_sampled, np.repeat(number, sampled)[kept[marks]]),
+        "token_mask": of_turn[:, kept] >= 0,
+        "logprobs": by_token[:, kept],
+        "turn": of_turn[:, kept],
     }
-    return arrays, too_long
+    return arrays, ends > lengths[in_row]
 
 
 def _column(name: str, values: ArrayLike | None, length: int, dtype: type[Any], *, default: Any = None) -> NDArray[Any]:
@@ -266,25 +269,6 @@ def _number_in_episode(episodes: NDArray[np.int64]) -> NDArray[np.int64]:
     numbers = np.empty_like(episodes)
     numbers[order] = np.arange(len(order)) - np.searchsorted(ordered, ordered)
     return numbers
-
-
-def _lengths(pieces: Sequence[Sized]) -> NDArray[np.int64]:
-    return np.fromiter(map(len, pieces), np.int64, len(pieces))
-
-
-def _joined(pieces: Sequence[Any], dtype: type[Any]) -> NDArray[Any]:
-    return np.concatenate([np.empty(0, dtype), *pieces], dtype=dtype, casting="unsafe")
-
-
-def _joined_logprobs(logprobs: Sequence[Logprobs] | None, sampled: NDArray[np.int64]) -> NDArray[Any]:
-    if logprobs is None:
-        return np.full(sampled.sum(), np.nan)
-    pieces = [np.full(size, np.nan) if given is None else given for given, size in zip(logprobs, sampled, strict=True)]
-    wrong = np.flatnonzero(_lengths(pieces) != sampled)
-    if len(wrong):
-        first = wrong[0]
-        raise ArgumentError(f"turn {first} of the list has {sampled[first]} tokens and {len(pieces[first])} logprobs")
-    return _joined(pieces, np.float64)
 
 
 def _filled(shape: tuple[int, ...], fill: Any, dtype: Any, at: tuple[Any, ...], values: Any) -> NDArray[Any]:
