@@ -24,7 +24,7 @@ class Kind:
     @property
     def tolerance(self) -> float:
         """Wider than the 1e-8 that normalization adds to a deviation."""
-        return 1e-7 if self.bits == 64 else 2e-5
+        return {16: 2e-3, 32: 2e-5, 64: 1e-7}[self.bits]
 
     def floats(self, values: Any) -> Any:
         array = np.asarray(values, dtype=f"float{self.bits}")

@@ -1,6 +1,7 @@
 """Returns, advantages and losses for agents that act in turns: pure functions, the same for NumPy and torch.
 
-A function returns the kind of array that it was given (NumPy or torch, its dtype, its device). Shapes, throughout:
+A function returns the kind of array that it was given (NumPy or torch, its dtype, its device); losses and penalties of
+16-bit floats are float32. Means and deviations are computed in float64. Shapes, throughout:
 
 - ``E`` episodes, ``T`` turns of the longest of them; ``rewards``, ``values``, returns and advantages are float (E, T).
 - ``mask``, bool (E, T): True where there is a turn. What stands elsewhere is ignored, NaN included; results are 0

@@ -17,7 +17,6 @@ from .normalization import (
     return_batch_normalization as return_batch_normalization,
 )
 from .policies import (
-    entropy as entropy,
     kl_penalty as kl_penalty,
     truncated_importance_weights as truncated_importance_weights,
 )

@@ -44,30 +44,45 @@ def constant(array: Array) -> Array:
     return array.detach() if array_api_compat.is_torch_array(array) else array
 
 
+def at_least_single(xp: Any, array: Array) -> Array:
+    """Return the array, in float32 if its own floats are shorter: those cannot hold the ratios of two policies."""
+    return xp.astype(array, xp.float32) if xp.finfo(array.dtype).bits < 32 else array
+
+
+def from_member(xp: Any, values: Array, members: Array) -> Array:
+    """Return in float64 how far values (N,) are from others (N,); exactly 0 where rounding alone sets them apart.
+
+    Sums of equal numbers in another order differ by rounding, which a division by their deviation would blow up.
+    """
+    rounding = 8 * xp.finfo(values.dtype).eps
+    values, members = xp.astype(values, xp.float64), xp.astype(members, xp.float64)
+    differences = values - members
+    return xp.where(xp.abs(differences) <= rounding * xp.abs(members), xp.zeros_like(differences), differences)
+
+
 def group_sums(xp: Any, values: Array, index: Array, count: int) -> Array:
-    """Sum float values (N,) by their group's index (N,) from 0 to ``count`` - 1; returns (``count``,).
+    """Sum float64 values (N,) by their group's index (N,) from 0 to ``count`` - 1; returns (``count``,).
 
     The one place with a branch for each library: the array API has no sum by group.
     """
     if array_api_compat.is_torch_array(values):
         return xp.zeros(count, dtype=values.dtype, device=values.device).index_add(0, index, values)
-    return xp.astype(xp.bincount(index, weights=values, minlength=count), values.dtype)
+    return xp.bincount(index, weights=values, minlength=count)
 
 
 def centered(xp: Any, values: Array, index: Array, included: Array, correction: int) -> tuple[Array, Array, Array]:
     """Subtract from values (N,) the mean of their group, over the included members alone.
 
     Returns:
-        Differences to the mean (0 where not included), deviations and sizes of each value's group, each (N,).
+        Differences to the mean (0 where not included), deviations and sizes of each value's group, each float64 (N,).
     """
     count = int(xp.max(index)) + 1 if index.shape[0] else 0
-    # Some included member of each group, subtracted first: rounding leaves exactly 0 where all members are equal.
+    # Some included member of each group, subtracted first: exactly 0 is left where all members are equal.
     member = xp.zeros(count, dtype=values.dtype, device=array_api_compat.device(values))
     member[index[included]] = values[included]
-    differences = masked(xp, values - member[index], included)
-    sizes = group_sums(xp, xp.astype(included, values.dtype), index, count)
-    some = xp.clip(sizes, min=1)
-    means = group_sums(xp, differences, index, count) / some
+    differences = masked(xp, from_member(xp, values, member[index]), included)
+    sizes = group_sums(xp, xp.astype(included, xp.float64), index, count)
+    means = group_sums(xp, differences, index, count) / xp.clip(sizes, min=1)
     differences = masked(xp, differences - means[index], included)
     variances = group_sums(xp, differences**2, index, count) / xp.clip(sizes - correction, min=1)
     return differences, xp.sqrt(variances)[index], sizes[index]

@@ -67,7 +67,7 @@ def rloo_advantages(episode_returns: Array, groups: Array, *, learnable: Array |
     xp, index, included = _episode_groups(episode_returns, groups, learnable)
     differences, _, sizes = centered(xp, episode_returns, index, included, 0)
     # R_i - (sum - R_i) / (k - 1) = (R_i - mean) k / (k - 1)
-    return differences * sizes / xp.clip(sizes - 1, min=1)
+    return xp.astype(differences * sizes / xp.clip(sizes - 1, min=1), episode_returns.dtype)
 
 
 def gigpo_advantages(
@@ -118,7 +118,8 @@ def gigpo_advantages(
     check("states", states, rewards.shape, "int")
     xp = namespace(rewards)
     learnable = learnable & mask
-    totals = xp.sum(masked(xp, rewards, mask), axis=1)
+    # Sorted, so that equal rewards in another order have the same sum.
+    totals = xp.sum(xp.sort(xp.astype(masked(xp, rewards, mask), xp.float64), axis=1), axis=1)
     xp, group, included = _episode_groups(totals, groups, xp.any(learnable, axis=1))
     of_episodes = _relative(xp, totals, group, included, scale, epsilon, correction)
 
@@ -127,7 +128,7 @@ def gigpo_advantages(
     pairs = xp.unique_inverse(xp.reshape(group[:, None] * several + state, (-1,))).inverse_indices
     flat, counted = xp.reshape(returns, (-1,)), xp.reshape(learnable, (-1,))
     of_turns = xp.reshape(_relative(xp, flat, pairs, counted, scale, epsilon, correction), rewards.shape)
-    return masked(xp, of_episodes[:, None] + step_weight * of_turns, learnable)
+    return masked(xp, xp.astype(of_episodes[:, None] + step_weight * of_turns, rewards.dtype), learnable)
 
 
 def _episode_groups(episode_returns: Array, groups: Array, learnable: Array | None) -> tuple[Any, Array, Array]:
@@ -148,4 +149,4 @@ def _relative(
     if scale not in ("std", "none"):
         raise ValueError(f"scale is {scale!r}; expected 'std' or 'none'")
     differences, deviations, _ = centered(xp, values, index, included, correction)
-    return differences / (deviations + epsilon) if scale == "std" else differences
+    return xp.astype(differences / (deviations + epsilon) if scale == "std" else differences, values.dtype)

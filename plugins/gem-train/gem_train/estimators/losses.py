@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal, NamedTuple
 
-from gem_train.estimators._arrays import Array, check, constant, masked, namespace
+from gem_train.estimators._arrays import Array, at_least_single, check, constant, masked, namespace
 
 Aggregate = Literal["token", "sequence", "constant"]
 
@@ -122,7 +122,6 @@ def ppo_loss(
     *,
     clip_low: float = 0.2,
     clip_high: float = 0.2,
-    dual_clip: float | None = None,
     weights: Array | None = None,
     aggregate: Aggregate = "token",
     length: int | None = None,
@@ -131,8 +130,7 @@ def ppo_loss(
     r"""Compute the clipped loss of PPO, which GRPO shares.
 
     :math:`-w \min(r A, \mathrm{clip}(r, 1 - c_{low}, 1 + c_{high}) A)` on each token, :math:`r = \pi / \pi_{old}`,
-    then ``aggregate_tokens``. With ``dual_clip`` :math:`c`, what is minimized is at most :math:`-w c A` where
-    :math:`A < 0`.
+    then ``aggregate_tokens``.
 
     For one ratio a turn instead of one a token, sum the log-probabilities of a turn's tokens, and pass the sums
     (E, T), turns for tokens: a turn is then one action.
@@ -144,7 +142,6 @@ def ppo_loss(
         token_mask: bool (rows, L), True on sampled tokens that may be learnt from.
         clip_low: How far the ratio may fall below 1, from 0 to 1.
         clip_high: How far it may rise above 1; larger than ``clip_low`` is DAPO's clip-higher.
-        dual_clip: Largest ratio that counts against a negative advantage, above 1. None: no limit.
         weights: float (rows, L), of ``truncated_importance_weights``. None: 1.
         aggregate: See ``aggregate_tokens``, as for the two that follow.
         length: The constant length.
@@ -156,63 +153,41 @@ def ppo_loss(
     Raises:
         ValueError: A shape or dtype does not fit, or an option is not known, missing or out of range.
 
-    Source: PPO, arXiv:1707.06347, equation 7; clip-higher, DAPO, arXiv:2503.14476; dual clip, arXiv:1912.09729.
+    Source: PPO, arXiv:1707.06347, equation 7; clip-higher, DAPO, arXiv:2503.14476.
     """
     if not (0 <= clip_low <= 1 and clip_high >= 0):
         raise ValueError(f"clip_low is {clip_low}, clip_high {clip_high}; expected 0 to 1, and 0 or more")
-    if dual_clip is not None and not dual_clip > 1:
-        raise ValueError(f"dual_clip is {dual_clip}; expected a number above 1, or None")
     xp, log_ratio, advantages = _compared(logprobs, old_logprobs, advantages, token_mask)
     ratio = xp.exp(xp.clip(log_ratio, min=-_MOST_LOG_RATIO, max=_MOST_LOG_RATIO))
     unclipped = -ratio * advantages
     clipped = -xp.clip(ratio, min=1 - clip_low, max=1 + clip_high) * advantages
     losses = xp.maximum(unclipped, clipped)
-    removed = clipped > unclipped
-    if dual_clip is not None:
-        most = xp.where(advantages < 0, advantages * -dual_clip, losses)
-        removed = removed | (losses > most)
-        losses = xp.minimum(losses, most)
     losses = _weighted(xp, losses, weights, token_mask)
     loss = aggregate_tokens(losses, token_mask, aggregate=aggregate, length=length, denominator=denominator)
-    return loss, _metrics(xp, log_ratio, removed, token_mask)
+    return loss, _metrics(xp, log_ratio, clipped > unclipped, token_mask)
 
 
-def value_loss(
-    values: Array, targets: Array, mask: Array, *, old_values: Array | None = None, clip: float | None = None
-) -> Array:
-    r"""Compute the squared error of a critic, as a mean over turns.
-
-    :math:`\frac12 (V - G)^2`; with ``clip`` :math:`c`, :math:`\frac12 \max((V - G)^2, (V_c - G)^2)`, where
-    :math:`V_c = V_{old} + \mathrm{clip}(V - V_{old}, -c, c)`.
+def value_loss(values: Array, targets: Array, mask: Array) -> Array:
+    r"""Compute the squared error of a critic, as a mean over turns: :math:`\frac12 (V - G)^2`.
 
     Args:
         values: float (E, T); gradients flow through these alone.
         targets: float (E, T), for instance of ``gae``.
         mask: bool (E, T), the turns that count. Without any, the loss is 0, with gradient 0.
-        old_values: float (E, T), before the update; needed for ``clip``.
-        clip: How far a value may move in one update before moving further earns nothing. None: no limit.
 
     Returns:
         float scalar.
 
     Raises:
-        ValueError: A shape or dtype does not fit, or only one of ``clip`` and ``old_values`` is given.
+        ValueError: A shape or dtype does not fit.
 
-    Source: PPO, arXiv:1707.06347, equation 9; the clipping is that of its authors' code.
+    Source: PPO, arXiv:1707.06347, equation 9.
     """
-    xp = namespace(values, targets, mask, old_values)
+    xp = namespace(values, targets, mask)
     check("values", values, (None, None), "float")
     check("targets", targets, values.shape, "float")
     check("mask", mask, values.shape, "bool")
-    if (clip is None) != (old_values is None):
-        raise ValueError("clip and old_values belong together; give both or neither")
-    values, targets = masked(xp, values, mask), masked(xp, constant(targets), mask)
-    errors = (values - targets) ** 2
-    if clip is not None:
-        check("old_values", old_values, values.shape, "float")
-        old = masked(xp, constant(old_values), mask)
-        errors = xp.maximum(errors, (old + xp.clip(values - old, min=-clip, max=clip) - targets) ** 2)
-    return aggregate_tokens(errors / 2, mask)
+    return aggregate_tokens(masked(xp, values - constant(targets), mask) ** 2 / 2, mask)
 
 
 def _compared(logprobs: Array, old_logprobs: Array, advantages: Array, token_mask: Array) -> tuple[Any, Array, Array]:
@@ -222,8 +197,8 @@ def _compared(logprobs: Array, old_logprobs: Array, advantages: Array, token_mas
     check("old_logprobs", old_logprobs, logprobs.shape, "float")
     check("advantages", advantages, logprobs.shape, "float")
     check("token_mask", token_mask, logprobs.shape, "bool")
-    log_ratio = masked(xp, logprobs - constant(old_logprobs), token_mask)
-    return xp, log_ratio, masked(xp, constant(advantages), token_mask)
+    log_ratio = masked(xp, at_least_single(xp, logprobs) - constant(old_logprobs), token_mask)
+    return xp, log_ratio, masked(xp, at_least_single(xp, constant(advantages)), token_mask)
 
 
 def _weighted(xp: Any, losses: Array, weights: Array | None, token_mask: Array) -> Array:

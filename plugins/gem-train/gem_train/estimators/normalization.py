@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gem_train.estimators._arrays import Array, check, namespace
+from gem_train.estimators._arrays import Array, check, from_member, namespace
 
 
 def return_batch_normalization(returns: Array, mask: Array, *, epsilon: float = 1e-8, correction: int = 0) -> Array:
@@ -60,10 +60,10 @@ def _normalized(values: Array, mask: Array, epsilon: float, correction: int) -> 
     counted = values[mask]
     if not counted.shape[0]:
         return xp.zeros_like(values)
-    # One of the values is subtracted first: rounding leaves exactly 0 where all are equal.
-    mean = xp.mean(counted - counted[0])
-    counted = counted - counted[0] - mean
+    # One of the values is subtracted first: exactly 0 is left where all are equal.
+    counted = from_member(xp, counted, xp.broadcast_to(counted[0], counted.shape))
+    counted = counted - xp.mean(counted)
     deviation = xp.sqrt(xp.sum(counted**2) / max(counted.shape[0] - correction, 1))
     normalized = xp.zeros_like(values)
-    normalized[mask] = counted / (deviation + epsilon)
+    normalized[mask] = xp.astype(counted / (deviation + epsilon), values.dtype)
     return normalized

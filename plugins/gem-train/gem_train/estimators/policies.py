@@ -1,10 +1,11 @@
-"""How far two policies are apart on sampled tokens, and how spread out one is."""
+"""How far two policies are apart on sampled tokens."""
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
-from gem_train.estimators._arrays import Array, check, constant, masked, namespace
+from gem_train.estimators._arrays import Array, at_least_single, check, constant, masked, namespace
 
 KLKind = Literal["k1", "k2", "k3"]
 
@@ -36,7 +37,7 @@ def kl_penalty(logprobs: Array, reference_logprobs: Array, token_mask: Array, *,
     check("logprobs", logprobs, (None, None), "float")
     check("reference_logprobs", reference_logprobs, logprobs.shape, "float")
     check("token_mask", token_mask, logprobs.shape, "bool")
-    log_ratio = masked(xp, constant(reference_logprobs) - logprobs, token_mask)
+    log_ratio = masked(xp, constant(reference_logprobs) - at_least_single(xp, logprobs), token_mask)
     if kind == "k1":
         return -log_ratio
     if kind == "k2":
@@ -78,33 +79,5 @@ def truncated_importance_weights(
         raise ValueError(f"cap is {cap}; expected a number above 0")
     difference = constant(logprobs) - constant(rollout_logprobs)
     known = token_mask & ~xp.isnan(rollout_logprobs)
-    weights = xp.clip(xp.exp(masked(xp, difference, known)), max=cap)
+    weights = xp.exp(xp.clip(masked(xp, difference, known), max=math.log(cap)))
     return masked(xp, weights, token_mask)
-
-
-def entropy(logits: Array, token_mask: Array) -> Array:
-    r"""Compute the entropy of the policy's distribution at each sampled token, in nats.
-
-    :math:`H = -\sum_v p_v \log p_v`, :math:`p = \mathrm{softmax}(\text{logits})`. A logit of -inf is a token that
-    cannot be sampled, and adds nothing.
-
-    Args:
-        logits: float (rows, L, vocabulary); gradients flow through these.
-        token_mask: bool (rows, L), True on sampled tokens.
-
-    Returns:
-        float (rows, L), 0 where the mask is False. ``aggregate_tokens`` makes a bonus of it.
-
-    Raises:
-        ValueError: A shape or dtype does not fit.
-
-    Source: the entropy bonus of PPO, arXiv:1707.06347, equation 9.
-    """
-    xp = namespace(logits, token_mask)
-    check("logits", logits, (None, None, None), "float")
-    check("token_mask", token_mask, logits.shape[:2], "bool")
-    logits = masked(xp, logits, token_mask[..., None])
-    shifted = logits - constant(xp.max(logits, axis=-1, keepdims=True))
-    log_p = shifted - xp.log(xp.sum(xp.exp(shifted), axis=-1, keepdims=True))
-    p = xp.exp(log_p)
-    return masked(xp, -xp.sum(p * masked(xp, log_p, p > 0), axis=-1), token_mask)

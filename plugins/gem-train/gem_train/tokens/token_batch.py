@@ -72,7 +72,8 @@ class TokenBatch:
     @property
     def episode_returns(self) -> NDArray[np.float64]:
         """Sum of each episode's rewards, undiscounted, with the reward before its first turn: float64, (E,)."""
-        returns: NDArray[np.float64] = self.rewards.sum(axis=1) + self.first_rewards
+        # Sorted, so that equal rewards in another order have the same sum.
+        returns: NDArray[np.float64] = np.sort(np.column_stack([self.first_rewards, self.rewards])).sum(axis=1)
         return returns
 
     def to_tokens(self, per_turn: ArrayLike) -> NDArray[Any]:
