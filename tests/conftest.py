@@ -25,7 +25,7 @@ vector_envs.register_vector_envs()
 def own_registry(monkeypatch: pytest.MonkeyPatch) -> registry.Registry:
     """A registry that holds only what the core offers and what a test registers."""
     fresh = registry.Registry()
-    monkeypatch.setattr(plugins, "_find", list)
+    monkeypatch.setattr(plugins, "find_plugins", list)
     monkeypatch.setattr(registry, "_registry", fresh)
     return fresh
 
@@ -39,7 +39,7 @@ def offer(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         found.load()
         for record in records:
             space = "requirement" if record.kind == "requirement" else "wrapper"
-            monkeypatch.setitem(found._named, space, {**found._named.get(space, {}), record.name: record})
+            monkeypatch.setitem(found._spaces[space], record.name, record)
 
     return add
 

@@ -21,7 +21,6 @@ _ONE = _HOOK + "return [EnvSpec(id='{0}:One-v0', entry_point='gem_{0}:one', summ
 ONE_MODULE = {
     # It cannot be imported.
     "import_error": "from gem_core import nothing_of_this_name",
-    "syntax_error": "def broken(:",
     "exits": "import sys; sys.exit(3)",
     "mute_error": "class MuteError(Exception):\n    def __str__(self): raise RuntimeError('mute')\nraise MuteError",
     "missing_module": "",

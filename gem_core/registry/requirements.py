@@ -33,7 +33,7 @@ class RequirementStatus:
     advice: str = ""
 
 
-def find(requirement: str, *, closely: bool = False) -> RequirementStatus:  # noqa: C901 - one branch for each word
+def find(requirement: str, *, closely: bool = False) -> RequirementStatus:
     """Return the status of a requirement.
 
     Args:
@@ -43,9 +43,8 @@ def find(requirement: str, *, closely: bool = False) -> RequirementStatus:  # no
     word, _, argument = requirement.partition(":")
     match word:
         case "key":
-            if os.environ.get(argument):
-                return RequirementStatus("met", "is set")
-            return RequirementStatus("unmet", "is not set", f"it needs a key: set the environment variable {argument}")
+            is_set, advice = os.environ.get(argument), f"it needs a key: set the environment variable {argument}"
+            return RequirementStatus("met", "is set") if is_set else RequirementStatus("unmet", "is not set", advice)
         case "package":
             return _package(argument)
         case "command":
@@ -58,13 +57,10 @@ def find(requirement: str, *, closely: bool = False) -> RequirementStatus:  # no
             return RequirementStatus("unmet", "is given to make", advice)
         case "never":
             return RequirementStatus("unmet", "cannot run anywhere", argument)
-        case "network":
-            return RequirementStatus("untried", "known only when it is used")
-        case "hub":
-            for name in ("HF_HUB_OFFLINE", "HF_DATASETS_OFFLINE", "TRANSFORMERS_OFFLINE"):
-                if os.environ.get(name, "").upper() in _ON:
-                    detail = f"offline by {name}: only what is in the cache"
-                    return RequirementStatus("untried", detail, f"unset {name} to download")
+        case "hub" if os.environ.get("HF_HUB_OFFLINE", "").upper() in _ON:
+            detail = "offline by HF_HUB_OFFLINE: only what is in the cache"
+            return RequirementStatus("untried", detail, "unset HF_HUB_OFFLINE to download")
+        case "network" | "hub":
             return RequirementStatus("untried", "online, and not tried here")
     # A word of a plugin. For those above, a worker process need not load the installed plugins.
     record = next((each for each in registry().specs(RequirementSpec) if each.name == word), None)
@@ -103,25 +99,19 @@ def check_requirements(record: EnvSpec, given: Iterable[str] = ()) -> None:
 
 
 def _package(name: str) -> RequirementStatus:
+    """Tell whether a package is installed, or the packages of an extra, as in ``gem-games[textarena]``."""
     distribution, _, extra = name.removesuffix("]").partition("[")
-    if extra:
-        return _extra(distribution, extra)
-    version = installed_version(name)
-    if version is not None:
-        return RequirementStatus("met", f"version {version}")
+    wanted = extras_of(distribution).get(extra, []) if extra else [name]
+    missing = [each for each in wanted if not _is_installed(each)]
+    if wanted and not missing:
+        return RequirementStatus("met", f"has {', '.join(f'{each} {installed_version(each)}' for each in wanted)}")
+    what = f"an extra of {distribution}" if extra else f"the package {name}"
+    command = f'pip install "{name}"' if extra else f"pip install {name}"
+    return RequirementStatus("unmet", f"lacks {', '.join(missing) or name}", f"it needs {what}: '{command}'")
+
+
+def _is_installed(name: str) -> bool:
     try:
-        if importlib.util.find_spec(name.replace("-", "_")) is not None:
-            return RequirementStatus("met", "can be imported")
+        return installed_version(name) is not None or importlib.util.find_spec(name.replace("-", "_")) is not None
     except (ImportError, ValueError):  # no parent package, an empty name, or a module without a specification
-        pass
-    return RequirementStatus("unmet", "is not installed", f"it needs the package {name}: 'pip install {name}'")
-
-
-def _extra(distribution: str, extra: str) -> RequirementStatus:
-    """Tell whether the packages are installed that an extra adds, as in ``gem-games[textarena]``."""
-    added = extras_of(distribution).get(extra, [])
-    missing = [name for name in added if installed_version(name) is None]
-    if added and not missing:
-        return RequirementStatus("met", f"has {', '.join(added)}")
-    advice = f"it needs an extra of {distribution}: 'pip install \"{distribution}[{extra}]\"'"
-    return RequirementStatus("unmet", f"lacks {', '.join(missing)}" if missing else "is not installed", advice)
+        return False

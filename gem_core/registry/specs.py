@@ -73,22 +73,20 @@ class EnvSpec:
                 f"environment id {self.id!r} must look like 'namespace:Name-v0', with ASCII letters, digits and '._-'"
             )
         _check_entry_point(self.id, self.entry_point)
-        if not isinstance(self.kwargs, Mapping) or not all(isinstance(key, str) for key in self.kwargs):
-            raise RegistrationError(f"{self.id}: kwargs must map keyword names to values, not {self.kwargs!r}")
-        if self.max_turns is not None and (type(self.max_turns) is not int or self.max_turns < 1):
-            raise RegistrationError(f"{self.id}: max_turns must be a positive whole number, not {self.max_turns!r}")
-        if not isinstance(self.deterministic, bool):
-            raise RegistrationError(f"{self.id}: deterministic must be True or False, not {self.deterministic!r}")
+        is_mapping = isinstance(self.kwargs, Mapping) and all(isinstance(key, str) for key in self.kwargs)
+        is_limit = self.max_turns is None or (type(self.max_turns) is int and self.max_turns > 0)
+        _require(is_mapping, self, "kwargs", "map keyword names to values")
+        _require(is_limit, self, "max_turns", "be a positive whole number")
+        _require(isinstance(self.deterministic, bool), self, "deterministic", "be True or False")
         object.__setattr__(self, "kwargs", dict(self.kwargs))
         for name in ("tags", "requires", "seats", "folder_markers"):
             words = getattr(self, name)
-            if not isinstance(words, tuple | list) or not all(isinstance(word, str) for word in words):
-                raise RegistrationError(f"{self.id}: {name} must be a tuple of strings, not {words!r}")
+            is_words = isinstance(words, tuple | list) and all(isinstance(word, str) for word in words)
+            _require(is_words, self, name, "be a tuple of strings")
             object.__setattr__(self, name, tuple(words))
-        if not all(_FILE_NAME.fullmatch(marker) for marker in self.folder_markers):
-            raise RegistrationError(f"{self.id}: folder_markers must be names of files, not {self.folder_markers!r}")
-        if not isinstance(self.folder_keyword, str) or not self.folder_keyword.isidentifier():
-            raise RegistrationError(f"{self.id}: folder_keyword must name an argument, not {self.folder_keyword!r}")
+        _require(all(map(_FILE_NAME.fullmatch, self.folder_markers)), self, "folder_markers", "be names of files")
+        is_name = isinstance(self.folder_keyword, str) and self.folder_keyword.isidentifier()
+        _require(is_name, self, "folder_keyword", "name an argument")
         _check_summary(self.id, self.summary)
 
     @property
@@ -248,12 +246,15 @@ class RequirementSpec(NamedSpec):
     kind: ClassVar[str] = "requirement"
 
 
+def _require(is_right: bool, record: EnvSpec, name: str, rule: str) -> None:
+    if not is_right:
+        raise RegistrationError(f"{record.id}: {name} must {rule}, not {getattr(record, name)!r}")
+
+
 def _check_entry_point(owner: str, entry_point: object, what: str = "entry_point") -> None:
     if callable(entry_point) or (isinstance(entry_point, str) and _ENTRY_POINT.fullmatch(entry_point)):
         return
-    raise RegistrationError(
-        f"{owner}: {what} must be 'package.module:Name' or a callable, not {entry_point!r}",
-    )
+    raise RegistrationError(f"{owner}: {what} must be 'package.module:Name' or a callable, not {entry_point!r}")
 
 
 def _check_summary(owner: str, summary: object) -> None:
