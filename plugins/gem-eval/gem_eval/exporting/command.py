@@ -11,15 +11,11 @@ import click
 from gem_core.cli import counted
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import whole_file
-from gem_eval.exporting.episodes import write_jsonl
-from gem_eval.exporting.inspect_log import LogPart, write_eval, write_json
-from gem_eval.exporting.tables import write_csv, write_parquet
+from gem_eval.exporting.inspect_log import write_log
+from gem_eval.exporting.tables import write_csv, write_jsonl, write_parquet
 from gem_eval.grouping import grouped
 from gem_eval.opening import warn_of_damage
 from gem_eval.records import Run, open_run
-from gem_eval.scores import compute_scores
-
-_LOGS = {".json": write_json, ".eval": write_eval}
 
 
 @click.command(
@@ -31,16 +27,15 @@ Examples:
   gem export runs/a runs/b --to parquet --out both.parquet
   gem export runs/mine --to jsonl --out mine.jsonl        whole episodes, as gem run writes them
   gem export runs/mine --to inspect --out logs            then: inspect view --log-dir logs
-  gem export runs/mine --to inspect --out mine.eval       of one task and one model
 \b
 csv, parquet   a row for each episode: outcome, return, turns, tokens, cost, seconds …
                In CSV, a text that a spreadsheet would take for a formula gets an apostrophe before it.
 jsonl          whole episodes, unchanged, with images in a folder beside the file
-inspect        logs of inspect_ai, which its viewer and read_eval_log read: one for each task and model,
-               in a folder; or one file, .eval or .json
+inspect        logs of inspect_ai, which its viewer and read_eval_log read: a file .eval for each task and
+               model, in a folder
 \b
 In Python: gem_eval.to_pandas("runs/mine") returns the table of csv as a DataFrame.
-Parquet needs pyarrow: pip install 'gem-eval[parquet]'. Nothing here needs inspect_ai.
+Parquet needs pandas and pyarrow: pip install 'gem-eval[parquet]'. Nothing here needs inspect_ai.
 \b
 Exit code: 0 if all was written, 1 if a run cannot be read, 2 for a wrong argument.
 """,
@@ -49,9 +44,7 @@ Exit code: 0 if all was written, 1 if a run cannot be read, 2 for a wrong argume
 @click.option(
     "--to", "form", required=True, type=click.Choice(["csv", "parquet", "jsonl", "inspect"]), help="The form."
 )
-@click.option(
-    "-o", "--out", required=True, type=click.Path(path_type=Path), help="The file; for inspect a file or a folder."
-)
+@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="The file; for inspect a folder.")
 @click.option("--texts", is_flag=True, help="csv, parquet: add the first observation and the last response.")
 def command(runs: tuple[Path, ...], form: str, out: Path, texts: bool) -> None:
     """Write the episodes of runs in a form that other programs read.
@@ -81,27 +74,13 @@ def command(runs: tuple[Path, ...], form: str, out: Path, texts: bool) -> None:
 
 def _write_logs(runs: Sequence[Run], out: Path) -> int:
     """Write a log for each task and model of each run, and return their number."""
-    parts = [part for run in runs for part in _parts(run)]
-    if not parts:
+    logs = [(run, *key, own) for run in runs for key, own in grouped(run.rows, lambda row: (row.id, row.model)).items()]
+    if not logs:
         raise ArgumentError("there are no episodes in these runs, and no logs to write")
-    if out.suffix in _LOGS:
-        if len(parts) > 1:
-            raise ArgumentError(
-                f"a log of inspect_ai holds one task and one model, and there are {len(parts)}: "
-                f"give a folder, as --out {out.with_suffix('')}"
-            )
-        with whole_file(out) as file:
-            _LOGS[out.suffix](parts[0], file)
-        return 1
     out.mkdir(exist_ok=True)
-    for number, part in enumerate(parts, start=1):
+    for number, (run, task, model, rows) in enumerate(logs, start=1):
         # The number keeps names apart that differ in what no file name may hold.
-        name = "_".join(re.sub(r"[^\w.-]+", "-", text)[:60] for text in (part.run.name, part.id, part.model))
+        name = "_".join(re.sub(r"[^\w.-]+", "-", text)[:60] for text in (run.name, task, model))
         with whole_file(out / f"{name}_{number}.eval") as file:
-            write_eval(part, file)
-    return len(parts)
-
-
-def _parts(run: Run) -> list[LogPart]:
-    rows = grouped(run.rows, lambda row: (row.id, row.model))
-    return [LogPart(run, task, model, own, compute_scores(own)) for (task, model), own in rows.items()]
+            write_log(run, task, model, rows, file)
+    return len(logs)

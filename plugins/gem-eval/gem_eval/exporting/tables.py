@@ -1,17 +1,19 @@
-"""The episodes of runs as a table: pandas, CSV and Parquet."""
+"""The episodes of runs as a table (pandas, CSV, Parquet), and as a file of ``gem run``."""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gem_core import Episode
 from gem_core.errors import MissingRequirementError
-from gem_core.records import whole_file
+from gem_core.records import ImageFolder, record_from_dict, whole_file
 from gem_eval.opening import opened
 from gem_eval.records import Row, Run
 from gem_eval.turns import parts_of, text_of
@@ -82,29 +84,52 @@ def write_csv(runs: Sequence[Run], path: Path, *, texts: bool = False) -> int:
 
 
 def write_parquet(runs: Sequence[Run], path: Path, *, texts: bool = False) -> int:
-    """Write the episodes of runs as Parquet, and return their number.
-
-    Args:
-        runs: The runs.
-        path: The file.
-        texts: See ``to_pandas``.
+    """Write the episodes of runs as Parquet, and return their number; see ``to_pandas``, which it takes.
 
     Raises:
-        MissingRequirementError: pyarrow is not installed.
+        MissingRequirementError: pandas or pyarrow is not installed.
         EpisodeFileError: A run cannot be read.
         OSError: The file cannot be written.
     """
     try:
-        import pyarrow as pa  # type: ignore[import-untyped]
-        import pyarrow.parquet as pq  # type: ignore[import-untyped]
+        import pyarrow  # type: ignore[import-untyped]  # noqa: F401 - pandas needs it
     except ModuleNotFoundError as error:
         raise MissingRequirementError("Parquet needs pyarrow: pip install 'gem-eval[parquet]'") from error
-    types = {"str": pa.string(), "bool": pa.bool_(), "int": pa.int64(), "float": pa.float64()}
-    schema = pa.schema([(name, types[kind]) for name, kind in _types(texts).items()])
-    table = pa.table(_columns(runs, texts), schema=schema)
+    table = to_pandas(*runs, texts=texts)
     with whole_file(path) as file:
-        pq.write_table(table, file)
-    return int(table.num_rows)
+        table.to_parquet(file, index=False)
+    return len(table)
+
+
+def write_jsonl(runs: Sequence[Run], path: Path) -> int:
+    """Write the episodes of runs as ``gem run`` does, their images beside them, and return their number.
+
+    What a run says of an episode besides stays under ``"evaluation"``, so that ``open_run`` of the file finds the same
+    rows. A damaged episode is left out, and noted in ``Run.damage``.
+
+    Args:
+        runs: The runs.
+        path: The file.
+
+    Raises:
+        EpisodeFileError: A run cannot be read.
+        OSError: The file cannot be written.
+    """
+    count = 0
+    images = ImageFolder.beside(path)
+
+    def record(run: Run, row: Row) -> dict[str, Any]:
+        line = run.line(row)
+        told = {"evaluation": line["evaluation"]} if "evaluation" in line else {}
+        return record_from_dict(line, run.images).to_dict(images) | told
+
+    with whole_file(path) as file:
+        for run in runs:
+            whole = {row.number: row for row in run.rows}  # of several agents, the seats share a line
+            for _, each in run.intact(whole.values(), partial(record, run)):
+                file.write(json.dumps(each, ensure_ascii=True, allow_nan=False).encode("ascii") + b"\n")
+                count += 1
+    return count
 
 
 def _types(texts: bool) -> dict[str, str]:
