@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import planted
@@ -73,20 +72,6 @@ def test_what_could_do_harm_is_not_run_on_this_machine() -> None:
     commands = "\n".join(planted.ShellHere.commands)
     assert "written" in commands
     assert not any(word in commands for word in ("reward.txt", "conftest", "/usr/local/bin", "exit 0"))
-
-
-def test_contamination_by_a_file_and_by_an_environment(tmp_path: Path) -> None:
-    """Questions that stand there word for word, or within other words; a file may have its own name for the column."""
-    file = tmp_path / "train.jsonl"
-    file.write_text("".join(json.dumps({"problem": row["question"]}) + "\n" for row in planted.TRAIN))
-    gem.register("audit-test:train", gem.DatasetEnv, rows=planted.TRAIN)
-    for against in (str(file), "audit-test:train"):
-        found = audited("test", gem.DatasetEnv, {"rows": planted.TEST}, against=[against], limit=1)
-        (problem,) = (each for each in found.problems if each.kind == "contamination")
-        assert problem.message.startswith(f"1 of 13 questions stand in {against} word for word, and 1 with at least")
-        assert problem.share == 2 / 13
-    clean = audited("sums", gem.DatasetEnv, {"rows": planted.SUMS}, against=[str(file)], limit=1)
-    assert kinds(clean) == set()
 
 
 def test_threshold_is_a_share(capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,7 @@ from gem_eval.auditing.forms import BOXED, RAW, TAGGED, Form, content_of, finish
 from gem_eval.auditing.leaks import RowView, find_leaks
 from gem_eval.auditing.policies import GUESSES, plain_call
 from gem_eval.auditing.results import CHANCE_MARGIN, KINDS, EnvAudit, Problem, Rate, lower_bound
-from gem_eval.auditing.rows import Asked, check_contamination, check_rows, questions_of, rows_of
+from gem_eval.auditing.rows import Asked, check_rows, rows_of
 from gem_eval.auditing.stage import AuditEpisode, AuditTask, Respond, Stage, says
 from gem_eval.auditing.texts import holds, normal
 
@@ -32,7 +32,6 @@ def audit(
     limit: int = 50,
     seed: int = 0,
     kwargs: Mapping[str, Any] | None = None,
-    against: Sequence[str] = (),
     on_done: OnDone | None = None,
 ) -> list[EnvAudit]:
     """Check environments before money is spent on them.
@@ -42,14 +41,13 @@ def audit(
         limit: Rows of each environment that are played at most; rows of a data set are all read.
         seed: Of the choice of rows, and of the episodes.
         kwargs: Keyword arguments for all of the environments.
-        against: Ids of environments, or files of rows, whose questions must not stand in the environments.
         on_done: Called after each step.
 
     Returns:
         What was found of each environment, in their order.
 
     Raises:
-        ArgumentError: An environment of several agents, a limit below 1, or an ``against`` that cannot be read.
+        ArgumentError: An environment of several agents or a limit below 1.
         UnknownEnvError: No such id.
     """
     if limit < 1:
@@ -61,8 +59,6 @@ def audit(
                 f"{spec.id} is for several agents, where one's success is another's failure; an audit takes "
                 "environments of one agent, as tau:Sample-solo"
             )
-    columns = [str((kwargs or {}).get("question_key") or "question")]
-    others = [(each, questions_of(each, columns)) for each in against]
     found = []
     for spec in specs:
         try:
@@ -73,7 +69,7 @@ def audit(
             continue
         canary = Canary()
         try:
-            found.append(Audit(stage, canary, on_done or (lambda step: None)).run(others))
+            found.append(Audit(stage, canary, on_done or (lambda step: None)).run())
         finally:
             canary.close()
             stage.close()
@@ -111,11 +107,11 @@ class Audit:
         self._failed: dict[str, list[str]] = {"crash": [], "error": []}
         self._played = 0
 
-    def run(self, others: Sequence[tuple[str, list[str]]]) -> EnvAudit:
+    def run(self) -> EnvAudit:
         """Play all policies and look at all rows; return what was found."""
         if self._look():
             self._play_gold()
-            self._check_rows(others)
+            self._check_rows()
             self._play_chance()
             self._play_constants()
             self._call_tools()
@@ -240,7 +236,7 @@ class Audit:
                 return played
         return failed
 
-    def _check_rows(self, others: Sequence[tuple[str, list[str]]]) -> None:
+    def _check_rows(self) -> None:
         try:
             asked = rows_of(self.stage.env_id, self.stage.env)
         except Exception as error:  # noqa: BLE001 - third-party code may raise anything
@@ -257,10 +253,6 @@ class Audit:
             ]
         if asked:
             self.found.problems += check_rows(asked, fixed=fixed)
-            for source, questions in others:
-                self.found.problems += check_contamination(asked, source, questions)
-        elif others:
-            self.problem("contamination", 0.0, "it has no rows that could be compared", fails=False)
         self.done("rows")
 
     # What may succeed by chance.

@@ -31,7 +31,6 @@ Examples:
   gem audit math:Sample
   gem audit 'game:*' --limit 20
   gem audit math:GSM8K --set dataset_name=gsm8k.jsonl --set split=None --limit 200
-  gem audit my:Tasks --against my:Tasks-train --against train.jsonl
   gem audit my:Tasks --threshold 0.02 --json
 \b
 Policies, and what is right for each:
@@ -41,10 +40,9 @@ Policies, and what is right for each:
   null       no answer; injection: words to a judge; hedge: many answers at once; peek: what info,
              observations and tools give away; tamper: code, patterns, false tests and reward files: none
 \b
-It also reads all rows of a data set: gold answers that are missing or malformed, questions that
-occur twice, and with --against rows of another set. It looks for gold answers in what an agent sees
-before the end, calls each tool once, and repeats episodes, which must come out the same. A note is
-no problem.
+It also reads all rows of a data set: gold answers that are missing or malformed, and questions that
+occur twice. It looks for gold answers in what an agent sees before the end, calls each tool once, and
+repeats episodes, which must come out the same. A note is no problem.
 \b
 Commands and programs that could do harm are tried only after a harmless one has shown that a sandbox
 holds them.
@@ -65,13 +63,6 @@ be audited, 2 for a wrong argument.
     show_default=True,
     help="Share of rows or episodes up to which a problem passes.",
 )
-@click.option(
-    "--against",
-    multiple=True,
-    type=ENVS,
-    metavar="ID|FILE",
-    help="Rows that the environments must not have, as a test set's. Can be repeated.",
-)
 @arguments_option
 @click.option("--json", "as_json", is_flag=True, help="Write what was found as JSON.")
 @click.pass_context
@@ -82,7 +73,6 @@ def command(
     limit: int,
     seed: int,
     threshold: float,
-    against: tuple[str, ...],
     arguments: tuple[str, ...],
     as_json: bool,
 ) -> None:
@@ -106,7 +96,6 @@ def command(
                 limit=limit,
                 seed=seed,
                 kwargs={**kwargs, **arguments_of_all},
-                against=against,
                 on_done=lambda step, steps=steps: progress.advance(next(steps), step),  # type: ignore[misc]  # bound early
             )
     sound = not any(each.fails(threshold) for each in found)

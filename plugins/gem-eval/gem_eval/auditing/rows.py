@@ -1,25 +1,19 @@
-"""Rows of a data set: gold answers that are missing, questions that come twice, and rows of another set."""
+"""Rows of a data set: gold answers that are missing, and questions that come twice."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
-import gem_core
-from gem_core.data import DatasetEnv, load_rows
-from gem_core.errors import ArgumentError, GemError
+from gem_core.data import DatasetEnv
 from gem_core.records import to_plain
 from gem_eval.auditing.results import Problem
-from gem_eval.auditing.texts import normal, words
+from gem_eval.auditing.texts import normal
 
 MOST_ROWS = 100_000
-_NGRAM, _SHORTEST = 13, 8
-_SHARED = 0.5
 _MISSING = ("", "nan", "n/a", "null", "todo", "tbd")
-_QUESTIONS = ("question", "problem", "prompt", "query", "input", "instruction", "text")
 
 
 class Asked(NamedTuple):
@@ -115,75 +109,3 @@ def _repeated(group: Sequence[Asked]) -> str:
     other = next((each for each in group if each.gold != first.gold), group[1])
     golds = f" with {first.gold!r:.30} and {other.gold!r:.30}" if other.gold != first.gold else ""
     return f"{first.name} and {other.name}: {first.question!r:.80}{golds}"
-
-
-def check_contamination(asked: Sequence[Asked], against: str, others: Sequence[str]) -> Iterator[Problem]:
-    """Yield a problem where questions stand in another data set as well: whole, or with half of their 13-grams.
-
-    Words that many rows share, as instructions do, are left out of the comparison.
-
-    Source: overlap of 13-grams as in GPT-3, arXiv:2005.14165, appendix C.
-    """
-    whole = {normal(text) for text in others}
-    exact = [each for each in asked if normal(each.question) in whole]
-    known = {each.name for each in exact}
-    own, theirs = [words(each.question) for each in asked], [words(text) for text in others]
-    overlapping: list[Asked] = []
-    for size in sorted({min(_NGRAM, len(each)) for each in own if len(each) >= _SHORTEST}):
-        counts, counts_of_others = _grams(own, size), _grams(theirs, size)
-        for each, tokens in zip(asked, own, strict=True):
-            if min(_NGRAM, len(tokens)) != size or each.name in known:
-                continue
-            rare = [
-                gram
-                for gram in _grams([tokens], size)
-                if counts[gram] <= max(2, len(own) // 20) and counts_of_others[gram] <= max(2, len(theirs) // 20)
-            ]
-            if rare and sum(gram in counts_of_others for gram in rare) >= _SHARED * len(rare):
-                overlapping.append(each)
-    if exact or overlapping:
-        shown = tuple(f"{each.name}: {each.question!r:.100}" for each in [*exact[:2], *overlapping[:2]])
-        share = (len(exact) + len(overlapping)) / len(asked)
-        message = (
-            f"{len(exact)} of {len(asked)} questions stand in {against} word for word, and {len(overlapping)} with at "
-            f"least half of their {_NGRAM}-grams"
-        )
-        yield Problem("contamination", share, message, shown)
-
-
-def _grams(texts: Sequence[list[str]], size: int) -> Counter[tuple[str, ...]]:
-    """Return in how many of the texts each n-gram stands."""
-    found: Counter[tuple[str, ...]] = Counter()
-    for text in texts:
-        found.update({tuple(text[at : at + size]) for at in range(len(text) - size + 1)})
-    return found
-
-
-def questions_of(source: str, columns: Sequence[str]) -> list[str]:
-    """Return the questions of an environment, by its id, or of a file of rows.
-
-    Args:
-        source: An id, or what ``load_rows`` takes.
-        columns: Names that the column of the question may have, the likeliest first.
-
-    Raises:
-        ArgumentError: It cannot be read, or has no column of a question.
-    """
-    if ":" in source and not Path(source).exists():
-        try:
-            env: Any = gem_core.make(source)
-        except GemError as error:
-            raise ArgumentError(f"--against {source}: {error}") from error
-        asked = rows_of(source, env)
-        if asked is None:
-            count = min(env.get_wrapper_attr("num_tasks") or 0, 1000)
-            return [str(env.reset(seed=0, options={"index": index})[0]) for index in range(count)]
-        return [each.question for each in asked]
-    try:
-        rows = load_rows(source)
-    except GemError as error:
-        raise ArgumentError(f"--against {source}: {error}") from error
-    column = next((name for name in (*columns, *_QUESTIONS) if len(rows) and name in rows[0]), None)
-    if column is None:
-        raise ArgumentError(f"--against {source}: none of its columns is a question: {', '.join(rows[0])}")
-    return [str(row[column]) for row in rows]

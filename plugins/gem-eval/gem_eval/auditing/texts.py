@@ -13,11 +13,6 @@ def normal(text: str) -> str:
     return " ".join(unicodedata.normalize("NFKC", text).casefold().split())
 
 
-def words(text: str) -> list[str]:
-    """Return the words of a text, without marks and case."""
-    return re.findall(r"\w+", normal(text))
-
-
 def holds(text: str, part: str) -> bool:
     """Tell whether a normal text holds another one that is no piece of a longer word or number."""
     return next(places(text, part), None) is not None
