@@ -7,12 +7,12 @@ proportions, a group of episodes shares one start, and a run gives the same epis
 from __future__ import annotations
 
 import math
-import threading
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sized
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any
 
 from gem_core.env.seeding import checked_seed, fresh_seed, stable_hash
 from gem_core.errors import ArgumentError
@@ -60,8 +60,7 @@ class EpisodeStart:
         repeat: Which of the item's episodes it is, from 0.
         seed: Seed of the episode, shared by the item's repeats.
         run_seed: Seed of the run.
-        number: Number of earlier items of the same environment in the plan, or in the slot if there is no plan; 0 for
-            an episode that was looked up.
+        number: Number of earlier items of the same environment in the plan, or in the slot if there is no plan.
     """
 
     item: PlanItem
@@ -83,7 +82,7 @@ class EpisodeStart:
 
 
 class EpisodeQueue:
-    """Returns the starts of episodes, one at a time; slots may draw from several threads.
+    """Returns the starts of episodes, one at a time.
 
     Args:
         plan: Items in order, finite or not; None for an endless queue in which the slots do not share episodes.
@@ -96,41 +95,38 @@ class EpisodeQueue:
     def __init__(self, plan: Iterable[PlanItem] | None, seed: int | None) -> None:
         if plan is not None and (isinstance(plan, str | Mapping) or not isinstance(plan, Iterable)):
             raise ArgumentError(f"a plan is an iterable of PlanItem records, not {type(plan).__name__}")
+        self.plan = plan
         self.seed = fresh_seed() if seed is None else checked_seed(seed)
-        self.planned = plan is not None
-        self._plan = plan
-        self._is_done: Callable[[EpisodeStart], bool] = lambda start: False
-        self._lock = threading.Lock()
+        self._rest = self.starts()
         self._begun = False
-        self._rest = self._starts(plan or ())
-        self._counts: Counter[Any] = Counter()
-        """Items drawn so far, by environment; without a plan by slot."""
+        self._counts: Counter[int] = Counter()
+        """Episodes drawn so far, by slot, if there is no plan."""
 
     @property
     def total(self) -> int | None:
         """Number of episodes, also of the ones left out; None if the plan has no length."""
-        if isinstance(self._plan, LazyPlan):
-            return len(self._plan)
-        if not isinstance(self._plan, Collection):
+        if isinstance(self.plan, LazyPlan):
+            return len(self.plan)
+        if not isinstance(self.plan, Collection):
             return None
-        return sum(_checked_item(index, item).repeat for index, item in enumerate(self._plan))
+        return sum(_checked_item(index, item).repeat for index, item in enumerate(self.plan))
 
-    @property
-    def searchable(self) -> bool:
-        """Whether ``find`` can look up any episode, because the plan is a sequence."""
-        return isinstance(self._plan, Sequence)
-
-    def find(self, key: str, repeat: int) -> EpisodeStart | None:
-        """Return the start of an episode of a searchable plan; None if the plan has no such episode."""
-        plan = cast("Sequence[PlanItem]", self._plan)
-        if not key.isdecimal() or int(key) >= len(plan):
-            return None
-        item = _checked_item(int(key), plan[int(key)])
-        return self._start(int(key), item, repeat) if 0 <= repeat < item.repeat else None
+    def starts(self) -> Iterator[EpisodeStart]:
+        """Yield the starts of all episodes of the plan, from its beginning."""
+        counts: Counter[Any] = Counter()
+        for index, given in enumerate(() if self.plan is None else self.plan):
+            item = _checked_item(index, given)
+            # Items of one environment have one id, and the same arguments that are numbers or text.
+            small = [(name, value) for name, value in item.kwargs.items() if isinstance(value, str | int | float)]
+            environment = item.id, *sorted(small)
+            seed = stable_hash(self.seed, "episode", index) if item.seed is None else item.seed
+            for repeat in range(item.repeat):
+                yield EpisodeStart(item, (index,), repeat, seed, self.seed, counts[environment])
+            counts[environment] += 1
 
     def leave_out(self, is_done: Callable[[EpisodeStart], bool]) -> None:
         """Skip the planned episodes for which a function returns true."""
-        self._is_done = is_done
+        self._rest = (start for start in self._rest if not is_done(start))
 
     def restarted(self, seed: int | None = None) -> EpisodeQueue:
         """Return a queue of the same plan from its beginning, in which nothing is left out.
@@ -141,42 +137,22 @@ class EpisodeQueue:
         Raises:
             ArgumentError: The plan is an iterator that has been drawn from, which cannot begin anew.
         """
-        if self._begun and isinstance(self._plan, Iterator):
+        if self._begun and isinstance(self.plan, Iterator):
             raise ArgumentError(
                 "the plan is an iterator that has been drawn from, so it cannot start over; give a list, "
                 "or call reset() without a seed to go on with it"
             )
-        return EpisodeQueue(self._plan, self.seed if seed is None else seed)
+        return EpisodeQueue(self.plan, self.seed if seed is None else seed)
 
     def draw(self, slot: int) -> EpisodeStart | None:
         """Return what the next episode of a slot starts from; None when the plan is exhausted."""
-        with self._lock:
-            self._begun = True
-            if self.planned:
-                return next((start for start in self._rest if not self._is_done(start)), None)
-            count = self._counts[slot]
-            self._counts[slot] += 1
-            seed = stable_hash(self.seed, "episode", slot, count)
-            return EpisodeStart(_NO_ITEM, (slot, count), 0, seed, self.seed, count)
-
-    def _starts(self, plan: Iterable[PlanItem]) -> Iterator[EpisodeStart]:
-        for index, given in enumerate(plan):
-            item = _checked_item(index, given)
-            environment = _environment(item)
-            number = self._counts[environment]
-            self._counts[environment] += 1
-            for repeat in range(item.repeat):
-                yield self._start(index, item, repeat, number)
-
-    def _start(self, index: int, item: PlanItem, repeat: int, number: int = 0) -> EpisodeStart:
-        seed = stable_hash(self.seed, "episode", index) if item.seed is None else item.seed
-        return EpisodeStart(item, (index,), repeat, seed, self.seed, number)
-
-
-def _environment(item: PlanItem) -> Any:
-    """Return a key that items of one environment share: its id, and those arguments that are numbers or text."""
-    arguments = sorted(item.kwargs.items(), key=lambda each: each[0]) if item.kwargs else ()
-    return item.id, tuple((name, value) for name, value in arguments if isinstance(value, str | int | float))
+        self._begun = True
+        if self.plan is not None:
+            return next(self._rest, None)
+        number = self._counts[slot]
+        self._counts[slot] += 1
+        seed = stable_hash(self.seed, "episode", slot, number)
+        return EpisodeStart(_NO_ITEM, (slot, number), 0, seed, self.seed, number)
 
 
 def _checked_item(index: int, item: object) -> PlanItem:
@@ -195,48 +171,34 @@ def _checked_item(index: int, item: object) -> PlanItem:
     return item
 
 
-class LazyPlan(Sequence[PlanItem]):
-    """A plan whose items, of one episode each, are made when they are asked for, so that millions take no memory.
+@dataclass(frozen=True)
+class LazyPlan(Iterable[PlanItem], Sized):
+    """A plan of known length whose items are made when they are drawn, so that millions take no memory.
 
     Args:
-        count: Number of items.
-        item: Makes the item at a place.
+        count: Number of items, of one episode each.
+        items: Returns an iterator over all of them.
     """
 
-    def __init__(self, count: int, item: Callable[[int], PlanItem]) -> None:
-        self._places, self._item = range(count), item
+    count: int
+    items: Callable[[], Iterator[PlanItem]]
 
     def __len__(self) -> int:
-        return len(self._places)
+        return self.count
 
-    def __getitem__(self, place: Any) -> Any:
-        chosen = self._places[place]
-        return [self._item(each) for each in chosen] if isinstance(chosen, range) else self._item(chosen)
+    def __iter__(self) -> Iterator[PlanItem]:
+        return self.items()
 
 
-def interleaved(parts: Sequence[Sequence[PlanItem]]) -> Sequence[PlanItem]:
+def interleaved(parts: Collection[LazyPlan]) -> LazyPlan:
     """Return a plan that takes the items of several in turn, until each is exhausted."""
-    if len(parts) == 1:
-        return parts[0]
-    stretches: list[tuple[int, int, list[Sequence[PlanItem]]]] = []
-    """Where one begins, the row of its first items, and the parts that have it."""
-    first = row = 0
-    for end in sorted(set(map(len, parts))):
-        present = [part for part in parts if len(part) > row]
-        stretches.append((first, row, present))
-        first, row = first + (end - row) * len(present), end
-
-    def item(place: int) -> PlanItem:
-        first, row, present = next(each for each in reversed(stretches) if each[0] <= place)
-        rows, part = divmod(place - first, len(present))
-        return present[part][row + rows]
-
-    return LazyPlan(first, item)
+    rows = sum(part.count for part in parts)
+    return LazyPlan(rows, lambda: (item for row in zip_longest(*parts) for item in row if item is not None))
 
 
 def count_plan(
     ids: Iterable[str | None], episodes: int, *, kwargs: Mapping[str, Any] = MappingProxyType({})
-) -> Sequence[PlanItem]:
+) -> LazyPlan:
     """Return a plan of so many episodes for each id, taking the ids in turn.
 
     Args:
@@ -247,7 +209,8 @@ def count_plan(
     if episodes < 0:
         raise ArgumentError(f"episodes must be a whole number from 0 up, not {episodes!r}")
     items = [PlanItem(id=env_id, kwargs=dict(kwargs)) for env_id in ids]
-    return LazyPlan(episodes * len(items), lambda place: items[place % len(items)])
+    number = episodes * len(items)
+    return LazyPlan(number, lambda: (items[place % len(items)] for place in range(number)))
 
 
 def cover_plan(
@@ -257,7 +220,7 @@ def cover_plan(
     episodes: int | None = None,
     endless: bool = False,
     kwargs: Mapping[str, Any] = MappingProxyType({}),
-) -> Sequence[PlanItem]:
+) -> LazyPlan:
     """Return a plan that takes the rows of a data set in order.
 
     Args:
@@ -267,12 +230,16 @@ def cover_plan(
         endless: The environment makes fresh rows for every epoch: the index goes on instead of beginning anew.
         kwargs: Keyword arguments of the environment.
     """
-    count = num_tasks if episodes is None else episodes
     if num_tasks < 1:
         raise ArgumentError(f"there is no row to take: {env_id or 'the environment'} has {num_tasks} tasks")
+    number = num_tasks if episodes is None else episodes
     own = dict(kwargs)
-    rows = max(count, 1) if endless else num_tasks
-    return LazyPlan(count, lambda place: PlanItem(id=env_id, options={"index": place % rows}, kwargs=own))
+
+    def items() -> Iterator[PlanItem]:
+        for place in range(number):
+            yield PlanItem(id=env_id, options={"index": place if endless else place % num_tasks}, kwargs=own)
+
+    return LazyPlan(number, items)
 
 
 def mixture_plan(weights: Mapping[str, float], episodes: int) -> list[PlanItem]:

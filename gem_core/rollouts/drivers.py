@@ -19,7 +19,7 @@ from gem_core.errors import ArgumentError
 from gem_core.progress import Progress
 from gem_core.records.episode import Episode
 from gem_core.records.joint import JointEpisode, Record
-from gem_core.records.plans import EpisodeQueue, PlanItem, count_plan, cover_plan, interleaved
+from gem_core.records.plans import EpisodeQueue, LazyPlan, PlanItem, count_plan, cover_plan, interleaved
 from gem_core.rollouts.agent import Agent, close_agent, is_asynchronous, prepare_agent
 from gem_core.rollouts.loop import Run, play_here
 from gem_core.rollouts.resume import FinishedEpisodes, finished_episodes
@@ -145,9 +145,9 @@ def arollout(
     return _episodes_async(_Options(env, _seating(agent, agents), **options))
 
 
-def default_plan(vector: VectorEnv, episodes: int | None = None) -> Sequence[PlanItem]:
+def default_plan(vector: VectorEnv, episodes: int | None = None) -> LazyPlan:
     """Return the plan of ``rollout`` without one: rows in order for data sets, a number of episodes for the rest."""
-    parts: list[Sequence[PlanItem]] = []
+    parts: list[LazyPlan] = []
     for env_id, kwargs in vector.entries:
         rows = vector.num_tasks(env_id, kwargs)
         if rows is not None:
@@ -218,7 +218,7 @@ class _Options:
     def queue(self, vector: VectorEnv, finished: FinishedEpisodes) -> EpisodeQueue:
         """Return the queue of the episodes that are not finished."""
         seed = finished.run_seed(self.seed)
-        if self.plan is None and self.episodes is None and vector.plan.planned:
+        if self.plan is None and self.episodes is None and vector.plan.plan is not None:
             queue = vector.plan.restarted(seed)
         else:
             plan = default_plan(vector, self.episodes) if self.plan is None else self.plan

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sized
 from pathlib import Path
 from typing import Any
 
@@ -71,17 +71,20 @@ class FinishedEpisodes:
     def leave_out_of(self, queue: EpisodeQueue) -> None:
         """Leave the finished episodes out of a run.
 
-        Where its plan is a sequence they are compared with it now, all of them; else each when its turn comes.
+        With a plan of known length they are compared with it now, all of them; else each when its turn comes.
 
         Raises:
             ArgumentError: One of them started from something else than the plan has in its place, or has no place.
         """
-        if queue.searchable:
-            for key, repeat in self._starts:
-                start = queue.find(key, repeat)
-                if start is None:
-                    raise _other_run(key, "has no place in this plan")
-                self._includes(start)
+        if isinstance(queue.plan, Sized):
+            left = set(self._starts)
+            for start in queue.starts():
+                if left and self._includes(start):
+                    left.remove((start.key, start.repeat))
+                if not left:
+                    break
+            if left:
+                raise _other_run(min(left)[0], "has no place in this plan")
         queue.leave_out(self._includes)
 
     def _includes(self, start: EpisodeStart) -> bool:
