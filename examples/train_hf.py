@@ -91,7 +91,6 @@ def read_options(arguments=None):
     add("--every", type=int, default=10, help="updates from one greedy evaluation, and checkpoint, to the next")
     add("--eval-episodes", type=int, default=32, help="for each environment; of a data set, the first rows")
     add("--tensorboard", action="store_true", help="write for TensorBoard as well, into the folder of the run")
-    add("--wandb", metavar="PROJECT", help="log to Weights & Biases as well")
     add("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     if options.resume:
@@ -395,7 +394,7 @@ async def train(options):
     agent = Policy(engine, tokenizer, **settings, sampling={"temperature": options.temperature})
     greedy = Policy(engine, tokenizer, **settings, sampling={"temperature": 0.0})
     with ExitStack() as at_end:
-        log = MetricsLog(options.out, tensorboard=options.tensorboard, wandb=options.wandb)
+        log = MetricsLog(options.out, tensorboard=options.tensorboard)
         at_end.callback(log.close)
         log.truncate_after(begin - 1)
         vector = gem.make_vec(options.env, options.num_envs, wrappers=options.wrappers)

@@ -19,6 +19,7 @@ where most rewards are above 0, since it makes everything likelier that was done
 
 from statistics import fmean
 
+import click
 from matplotlib.figure import Figure
 from rewards import WRAPPERS  # registers study:SumsAndProducts-v0
 
@@ -26,7 +27,7 @@ from gem_train import TrainOptions
 from gem_train.learner.imitation import record_episodes
 from gem_train.learner.training import describe
 from gem_train.reporting import mean_interval
-from gem_train.studies import evaluated, plot_seeds, print_rows, run_all, study_arguments, train_measured
+from gem_train.studies import evaluated, plot_seeds, print_rows, run_all, study_options, train_measured
 
 ALGORITHMS = {
     "REINFORCE": {"algorithm": "reinforce"},
@@ -191,16 +192,17 @@ def report(results, folder):
     return rows
 
 
-def main():
+@click.command(help=__doc__)
+@study_options("algorithms", seeds=1)
+def main(quick, seeds, workers, folder):
     """Run what is asked for, and show it."""
-    options = study_arguments(__doc__, "algorithms", seeds=1)
     settings = [
         {"task": task, "algorithm": algorithm, "seed": seed}
-        for seed in range(options.seeds)
-        for task in (QUICK_TASKS if options.quick else TASKS)
-        for algorithm in (QUICK_ALGORITHMS if options.quick else ALGORITHMS)
+        for seed in range(seeds)
+        for task in (QUICK_TASKS if quick else TASKS)
+        for algorithm in (QUICK_ALGORITHMS if quick else ALGORITHMS)
     ]
-    print_rows(report(run_all(run, settings, options.out, workers=options.workers), options.out))
+    print_rows(report(run_all(run, settings, folder, workers=workers), folder))
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ Compared are REINFORCE with rewards of 0 and 1, REINFORCE with -1 and 1, and Ret
 import re
 from statistics import fmean
 
+import click
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -21,7 +22,7 @@ import gem_core as gem
 from gem_core.env import stable_hash
 from gem_train import TrainOptions
 from gem_train.reporting import mean_interval
-from gem_train.studies import evaluated, plot_seeds, print_rows, run_all, study_arguments, train_measured
+from gem_train.studies import evaluated, plot_seeds, print_rows, run_all, study_options, train_measured
 
 # Settings: the algorithm, and the reward of a wrong answer; that of a right one is 1.
 SETTINGS = {
@@ -147,12 +148,13 @@ def report(results, folder):
     return rows
 
 
-def main():
+@click.command(help=__doc__)
+@study_options("rewards")
+def main(quick, seeds, workers, folder):
     """Run what is asked for, and show it."""
-    options = study_arguments(__doc__, "rewards")
     gem.make("study:SumsAndProducts-v0", wrappers=WRAPPERS).close()  # says what to install if the tool is missing
-    settings = [{"setting": setting, "seed": seed} for seed in range(options.seeds) for setting in SETTINGS]
-    print_rows(report(run_all(run, settings, options.out, workers=options.workers), options.out))
+    settings = [{"setting": setting, "seed": seed} for seed in range(seeds) for setting in SETTINGS]
+    print_rows(report(run_all(run, settings, folder, workers=workers), folder))
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from fractions import Fraction
 from functools import cache
 from statistics import fmean
 
+import click
 import numpy as np
 import torch
 from matplotlib.figure import Figure
@@ -34,7 +35,7 @@ from gem_train.learner.playing import next_piece
 from gem_train.learner.policy_loss import score
 from gem_train.learner.vocabulary import ANSWER, END
 from gem_train.reporting import mean_interval
-from gem_train.studies import evaluated, plot_seeds, print_rows, run_all, study_arguments, train_measured
+from gem_train.studies import evaluated, plot_seeds, print_rows, run_all, study_options, train_measured
 
 # Contexts are as long as the situation and the response: the rules are dropped.
 GAMES = {
@@ -206,16 +207,17 @@ def report(results, folder):
     return rows
 
 
-def main():
+@click.command(help=__doc__)
+@study_options("self-play")
+def main(quick, seeds, workers, folder):
     """Run what is asked for, and show it."""
-    options = study_arguments(__doc__, "self-play")
     settings = [
         {"game": game, "baselines": baselines, "seed": seed}
-        for seed in range(options.seeds)
+        for seed in range(seeds)
         for game in GAMES
         for baselines in (True, False)
     ]
-    print_rows(report(run_all(run, settings, options.out, workers=options.workers), options.out))
+    print_rows(report(run_all(run, settings, folder, workers=workers), folder))
 
 
 if __name__ == "__main__":

@@ -11,11 +11,12 @@ at update 0 are those of imitation.
 
 from statistics import fmean
 
+import click
 from matplotlib.figure import Figure
 
 from gem_train import TrainOptions
 from gem_train.reporting import mean_interval
-from gem_train.studies import evaluated, plot_seeds, print_rows, run_all, study_arguments, train_measured
+from gem_train.studies import evaluated, plot_seeds, print_rows, run_all, study_options, train_measured
 
 TRAINED = {"1 to 50": "game:GuessTheNumber-v0-hard", "any range": "game:GuessTheNumber-v0-random"}
 EVALUATED = {
@@ -82,11 +83,12 @@ def report(results, folder):
     return rows
 
 
-def main():
+@click.command(help=__doc__)
+@study_options("transfer")
+def main(quick, seeds, workers, folder):
     """Run what is asked for, and show it."""
-    options = study_arguments(__doc__, "transfer")
-    settings = [{"trained": trained, "seed": seed} for seed in range(options.seeds) for trained in TRAINED]
-    print_rows(report(run_all(run, settings, options.out, workers=options.workers), options.out))
+    settings = [{"trained": trained, "seed": seed} for seed in range(seeds) for trained in TRAINED]
+    print_rows(report(run_all(run, settings, folder, workers=workers), folder))
 
 
 if __name__ == "__main__":

@@ -12,22 +12,22 @@ the mean of the batch is made less likely. REINFORCE on returns that are all abo
 
 from __future__ import annotations
 
-import json
-import math
 import re
-import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
-from statistics import fmean, stdev
+from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
-from gem_core.cli import AtLeast, echo_line
+from gem_core.cli import echo_line
 from gem_core.env import stable_hash
 from gem_core.errors import MissingRequirementError
 from gem_train.learner.options import Algorithm, TrainOptions
+from gem_train.reporting import mean_interval
+from gem_train.studies import evaluated, plot_seeds, print_rows, run_all, study_options, train_measured
 
 if TYPE_CHECKING:
     from gem_core.rollouts import Context
@@ -84,18 +84,14 @@ def options_of(algorithm: Algorithm, gamma: float, seed: int) -> TrainOptions:
 
 def run(algorithm: Algorithm, gamma: float, seed: int) -> dict[str, Any]:
     """Train one policy, and measure it at the end."""
-    from gem_train.studies import train_measured
-
     return train_measured(options_of(algorithm, gamma, seed), measure)
 
 
 def measure(training: Training) -> dict[str, Any]:
     """Return the mean turns of the evaluation, and how often each number was guessed in the first turns.
 
-    An episode that was not solved counts as all turns. ``error`` is the standard error of the mean over episodes.
+    An episode that was not solved counts as all turns.
     """
-    from gem_train.studies import evaluated
-
     played = evaluated(training)
     turns = [len(seat.turns) if seat.success == 1.0 else MOST_TURNS for seat in played]
     guesses = [[0] * NUMBERS for _ in range(SHOWN_TURNS)]
@@ -106,7 +102,6 @@ def measure(training: Training) -> dict[str, Any]:
                 counts[int(guess) - 1] += 1
     return {
         "mean_turns": fmean(turns),
-        "error": stdev(turns) / math.sqrt(len(turns)),
         "success": fmean(seat.success == 1.0 for seat in played),
         "guesses": guesses,
     }
@@ -121,16 +116,12 @@ def optimal_turns(numbers: int) -> float:
 
 
 def table(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row for each setting: the mean over seeds with its interval; of one seed, over its episodes."""
-    from gem_train.reporting import mean_interval
-
+    """Return a row for each setting: the mean over seeds with its interval."""
     rows = []
     for algorithm, gamma in dict.fromkeys((result["algorithm"], result["gamma"]) for result in results):
         runs = [result for result in results if (result["algorithm"], result["gamma"]) == (algorithm, gamma)]
         last = [each["measured"][-1] for each in runs]
         mean, low, high = mean_interval([each["mean_turns"] for each in last])
-        if low is None:
-            low, high = (mean + side * 1.96 * last[0]["error"] for side in (-1, 1))
         rows.append(
             {
                 "algorithm": LABELS[algorithm],
@@ -150,8 +141,6 @@ def draw(results: Sequence[dict[str, Any]], path: Path) -> None:
     """Draw the turns of an episode while learning, and what ReBN with gamma 0.9 guesses first, second and third."""
     from matplotlib.figure import Figure
 
-    from gem_train.studies import plot_seeds
-
     figure = Figure(figsize=(11, 5), layout="constrained")
     panels = figure.subplot_mosaic([["turns"] * SHOWN_TURNS, [*range(SHOWN_TURNS)]])
     for algorithm, gamma in dict.fromkeys((result["algorithm"], result["gamma"]) for result in results):
@@ -165,21 +154,8 @@ def draw(results: Sequence[dict[str, Any]], path: Path) -> None:
     for turn in range(SHOWN_TURNS):
         counts = [sum(of_number) for of_number in zip(*(each["guesses"][turn] for each in best), strict=True)]
         panels[turn].bar(range(1, NUMBERS + 1), counts)
-        for guess in bisection_guesses(NUMBERS, turn + 1):
-            panels[turn].axvline(guess, color="C1", linestyle=":")
-        panels[turn].set(title=f"Guess {turn + 1} (dotted: bisection)", xlabel="number guessed")
+        panels[turn].set(title=f"Guess {turn + 1}", xlabel="number guessed")
     figure.savefig(path, dpi=160)
-
-
-def bisection_guesses(numbers: int, turn: int) -> list[int]:
-    """Return what bisection of 1 to ``numbers`` may guess in a turn, counted from 1: the lower middles."""
-    ranges = [(1, numbers)]
-    for _ in range(turn - 1):
-        halves = [
-            half for low, high in ranges for half in ((low, (low + high) // 2 - 1), ((low + high) // 2 + 1, high))
-        ]
-        ranges = [(low, high) for low, high in halves if low <= high]
-    return [(low + high) // 2 for low, high in ranges]
 
 
 @click.command(
@@ -187,38 +163,27 @@ def bisection_guesses(numbers: int, turn: int) -> list[int]:
     epilog="""\b
 Examples:
   gem train-study gamma --quick
-  gem train-study gamma --out runs/gamma --json
+  gem train-study gamma --out runs/gamma
 \b
 The same command goes on with a study that was stopped. Its folder has results.jsonl, a line a run, and
 figure.png. The other studies are scripts in examples/paper of the repository.
 """,
 )
 @click.argument("study", type=click.Choice(["gamma"]), metavar="gamma")
-@click.option("-q", "--quick", is_flag=True, help="One seed and three settings: minutes instead of an hour.")
-@click.option("--seeds", type=AtLeast(min=1), help="Runs of each setting.  [default: 5; 1 with --quick]")
-@click.option("-w", "--workers", type=AtLeast(min=1), help="Runs at once, each on one thread.  [default: processors]")
-@click.option("-o", "--out", type=click.Path(file_okay=False), help="Folder of the study.  [default: runs/study-gamma]")
-@click.option("--json", "as_json", is_flag=True, help="Write the results as JSON.")
-def command(study: str, quick: bool, seeds: int | None, workers: int | None, out: str | None, as_json: bool) -> None:
+@study_options("gamma")
+def command(study: str, quick: bool, seeds: int, workers: int | None, folder: Path) -> None:
     """Train many small policies and compare them, with intervals over seeds.
 
     The study gamma: gamma of 0.5, 0.9 and 0.999, with REINFORCE and with ReBN, on GuessTheNumber.
     """
-    try:
-        from gem_train.studies import print_rows, run_all
-    except ImportError as error:
-        raise MissingRequirementError("gem train-study needs PyTorch: pip install 'gem-train[torch]'") from error
-    folder = Path(out or f"runs/study-gamma{'-quick' if quick else ''}")
+    if find_spec("torch") is None:
+        raise MissingRequirementError("gem train-study needs PyTorch: pip install 'gem-train[torch]'")
     settings = [
         {"algorithm": algorithm, "gamma": gamma, "seed": seed}
-        for seed in range(seeds or (1 if quick else 5))
+        for seed in range(seeds)
         for algorithm, gamma in (QUICK_SETTINGS if quick else SETTINGS)
     ]
     results = run_all(run, settings, folder, workers=workers)
     draw(results, folder / "figure.png")
-    rows = table(results)
-    if as_json:
-        sys.stdout.write(json.dumps(rows, indent=2) + "\n")
-        return
-    print_rows(rows)
+    print_rows(table(results))
     echo_line(f"figure: {folder / 'figure.png'}")

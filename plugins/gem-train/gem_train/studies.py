@@ -7,52 +7,57 @@ import multiprocessing
 import os
 import threading
 import time
-from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gem_core.cli import Column, print_table
+import click
+
+from gem_core.cli import AtLeast, Column, print_table
 from gem_core.errors import EnvFaultError
 from gem_core.progress import Progress
-from gem_train.learner.options import TrainOptions
-from gem_train.learner.playing import Played
-from gem_train.learner.training import Training, warm_start
 from gem_train.reporting import mean_interval
 from gem_train.reporting.metrics import cut_half_line, read_jsonl
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-RESULTS_FILE = "results.jsonl"
+    from gem_train.learner.options import TrainOptions
+    from gem_train.learner.playing import Played
+    from gem_train.learner.training import Training
+
+Run = Callable[..., dict[str, Any]]
+"""One run of a study: a function of a module, since other processes import it; its result is plain JSON."""
 
 
-def study_arguments(description: str | None, name: str, *, seeds: int = 5) -> Namespace:
-    """Read what a script of a study is called with: ``quick``, ``seeds``, ``workers`` and ``out``.
+def study_options(name: str, *, seeds: int = 5) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return what adds options to the command of a study, which is called with ``quick, seeds, workers, folder``.
 
     Args:
-        description: The script's docstring, which ``--help`` shows.
         name: The results are kept in ``runs/study-NAME`` by default.
         seeds: Runs of each setting by default; with ``--quick`` it is one.
     """
-    parser = ArgumentParser(description=description, formatter_class=RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one seed, and where a study has them, fewer settings")
-    parser.add_argument("--seeds", type=int, help=f"runs of each setting (default: {seeds}, with --quick 1)")
-    parser.add_argument("--workers", type=int, help="runs at once, each on one thread (default: processors)")
-    parser.add_argument("--out", type=Path, help="folder of the results, which goes on if it is there")
-    given = parser.parse_args()
-    given.seeds = given.seeds or (1 if given.quick else seeds)
-    given.out = given.out or Path(f"runs/study-{name}{'-quick' if given.quick else ''}")
-    return given
+
+    def add(command: Callable[..., Any]) -> Callable[..., Any]:
+        @click.option("-q", "--quick", is_flag=True, help="One seed, and if a study has them, fewer settings.")
+        @click.option("--seeds", type=AtLeast(min=1), help=f"Runs of each setting.  [default: {seeds}; 1 with --quick]")
+        @click.option("-w", "--workers", type=AtLeast(min=1), help="Runs at once.  [default: processors]")
+        @click.option("-o", "--out", type=click.Path(file_okay=False), help=f"Folder.  [default: runs/study-{name}]")
+        @wraps(command)
+        def called(*, quick: bool, workers: int | None, out: str | None, **given: Any) -> Any:
+            given["seeds"] = given["seeds"] or (1 if quick else seeds)
+            folder = Path(out or f"runs/study-{name}{'-quick' if quick else ''}")
+            return command(quick=quick, workers=workers, folder=folder, **given)
+
+        return called
+
+    return add
 
 
 def run_all(
-    run: Callable[..., dict[str, Any]],
-    settings: Sequence[Mapping[str, Any]],
-    folder: Path,
-    *,
-    workers: int | None = None,
+    run: Run, settings: Sequence[Mapping[str, Any]], folder: Path, *, workers: int | None = None
 ) -> list[dict[str, Any]]:
     """Call ``run(**setting)`` for each setting, a few at once, and return each setting with its result.
 
@@ -60,7 +65,7 @@ def run_all(
     that file when the study has changed.
 
     Args:
-        run: A function of a module, since other processes import it; its result is plain JSON.
+        run: See ``Run``.
         settings: Its keyword arguments, plain JSON.
         folder: Made if it is missing.
         workers: Processes, of one thread each; None for one a processor.
@@ -69,11 +74,12 @@ def run_all(
         Exception: What a run raised; the results of those that ended before are kept.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / RESULTS_FILE
+    path = folder / "results.jsonl"
     cut_half_line(path)
     kept = {_key(line["setting"]): line["result"] for line in read_jsonl(path)}
     waiting = [setting for setting in settings if _key(setting) not in kept]
-    processes = min(workers or os.cpu_count() or 1, max(len(waiting), 1))
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    processes = min(workers or processors, max(len(waiting), 1))
     with (
         path.open("a", encoding="utf-8") as file,
         Progress(len(waiting), folder.name, unit="runs") as progress,
@@ -109,6 +115,8 @@ def train_measured(
         ``curve``, the metrics of each update; ``measured``, what ``measure`` returned, with its ``update``; ``seconds``
         of the wall clock, the warm start left out.
     """
+    from gem_train.learner.training import Training, warm_start
+
     curve, measured = [], []
     learner = warm_start(options)
     began = time.monotonic()
@@ -166,11 +174,10 @@ def _begin_worker() -> None:
     import torch
 
     torch.set_num_threads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
 
-    def wait_for_parent() -> None:
-        parent = multiprocessing.parent_process()
-        if parent is not None:
-            parent.join()
-        os._exit(1)
 
-    threading.Thread(target=wait_for_parent, daemon=True).start()
+def _end_with_parent() -> None:
+    if (parent := multiprocessing.parent_process()) is not None:
+        parent.join()
+    os._exit(1)

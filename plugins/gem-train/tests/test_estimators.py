@@ -21,7 +21,6 @@ from gem_train.estimators import (
     gigpo_advantages,
     grpo_advantages,
     kl_penalty,
-    learnable_turns,
     normalize_advantages,
     policy_gradient_loss,
     ppo_loss,
@@ -105,18 +104,6 @@ def test_everything_is_learnable_by_default(kind: Kind):
     kind.close(gigpo_advantages(returns[:, None], same, kind.ints([[0], [1], [2]]), mask, gamma=1)[:, 0], expected)
     kind.close(return_batch_normalization(returns[:, None], mask)[:, 0], expected)
     kind.close(normalize_advantages(returns[:, None], mask, correction=1)[:, 0], [-1, 0, 1])
-
-
-@each_kind
-def test_learnable_turns(kind: Kind):
-    """An error takes the whole episode, an idle turn and a cut-off response themselves."""
-    result = learnable_turns(
-        kind.bools([[1, 1, 1], [1, 1, 0], [1, 1, 1]]),
-        error=kind.bools([0, 0, 1]),
-        idle=kind.bools([[0, 1, 0], [0, 0, 0], [0, 0, 0]]),
-        cut_off=kind.bools([[0, 0, 0], [0, 1, 0], [0, 0, 0]]),
-    )
-    assert result.tolist() == [[True, False, True], [True, False, False], [False, False, False]]
 
 
 @each_kind

@@ -16,7 +16,7 @@ from gem_train.learner.agent import CheckpointAgent
 from gem_train.learner.learning import Learner
 from gem_train.learner.playing import Played, groups_of, token_batch
 from gem_train.learner.policy_loss import score
-from gem_train.learner.run_folder import RunFolder
+from gem_train.learner.run import RunFolder
 from gem_train.learner.training import Training
 
 

@@ -14,7 +14,7 @@ from learner_envs import register, tiny
 from gem_core.cli import main
 from gem_core.errors import ArgumentError
 from gem_train import train
-from gem_train.learner.run_folder import RunFolder
+from gem_train.learner.run import RunFolder
 from gem_train.reporting import read_metrics
 
 
@@ -62,15 +62,13 @@ def test_a_resumed_run_is_that_which_was_never_stopped(tmp_path: Path):
 
     with pytest.raises(KeyboardInterrupt):
         train(options, stopped, on_update=interrupt)
-    for name in ("metrics.jsonl", "samples.jsonl"):
-        with (stopped / name).open("a") as file:
-            file.write('{"update": 3}\n{"upd')
+    with (stopped / "metrics.jsonl").open("a") as file:
+        file.write('{"update": 3}\n{"upd')
     steps = []
     last = train(options, stopped, on_imitation=lambda step, loss: steps.append(step))
     assert steps == []
     assert metrics_of(stopped) == metrics_of(whole)
     assert last["eval/arms:One-v0/return"] == read_metrics(whole)[-1]["eval/arms:One-v0/return"]
-    assert (stopped / "samples.jsonl").read_text() == (whole / "samples.jsonl").read_text()
     one, other = (torch.load(folder / "checkpoint.pt", weights_only=True) for folder in (whole, stopped))
     assert json.dumps(one["options"]) == json.dumps(other["options"])
     for name, value in one["policy"].items():
@@ -99,7 +97,6 @@ def test_gem_train_from_the_first_update_to_the_curves(gem_train: Any, capsys: p
     assert {"return", "success", "turns", "loss", "entropy", "kl", "seconds", "eval/success"} <= set(metrics)
     run = Path("run")
     assert (run / "curves.png").read_bytes().startswith(b"\x89PNG")
-    assert "Say left or right." in (run / "samples.jsonl").read_text()
     assert json.loads((run / "options.json").read_text())["imitate"] == "random"
     again = gem_train("--resume", "run")
     assert again.code == 0

@@ -280,7 +280,4 @@ class ChatSession:
 def _described(env: AnyEnv) -> dict[str, Any]:
     """Return the id, arguments and wrappers of an environment, as the record of an episode holds them."""
     spec: Any = env.spec
-    if spec is None:
-        return {"id": type(env.unwrapped).__name__, "kwargs": {}, "wrappers": []}
-    recorded: dict[str, Any] = spec.recorded()
-    return recorded
+    return dict(spec.recorded()) if spec else {"id": type(env.unwrapped).__name__, "kwargs": {}, "wrappers": []}

@@ -6,8 +6,8 @@ A function returns the kind of array that it was given (NumPy or torch, its dtyp
 - ``E`` episodes, ``T`` turns of the longest of them; ``rewards``, ``values``, returns and advantages are float (E, T).
 - ``mask``, bool (E, T): True where there is a turn. What stands elsewhere is ignored, NaN included; results are 0
   there.
-- ``learnable``, bool (E, T) or (E,): what may be learnt from (see ``learnable_turns``); the rest is left out of means,
-  deviations and baselines, and has the advantage 0.
+- ``learnable``, bool (E, T) or (E,): what may be learnt from: no episode with an error, no idle turn. The rest is
+  left out of means, deviations and baselines, and has the advantage 0.
 - ``logprobs``, float (rows, L), and ``token_mask``, bool (rows, L): True on tokens that the model sampled.
 
 All of them raise ``ValueError`` for a shape, a dtype or a factor that cannot be right. This package imports neither

@@ -20,5 +20,5 @@ from .policies import (
     kl_penalty as kl_penalty,
     truncated_importance_weights as truncated_importance_weights,
 )
-from .returns import discounted_returns as discounted_returns, gae as gae, learnable_turns as learnable_turns
+from .returns import discounted_returns as discounted_returns, gae as gae
 from .roles import role_baselines as role_baselines

@@ -1,39 +1,10 @@
-"""Discounted returns and generalized advantages over turns, and which turns may be learnt from."""
+"""Discounted returns and generalized advantages over turns."""
 
 from __future__ import annotations
 
 import array_api_compat
 
 from gem_train.estimators._arrays import Array, check, check_fraction, masked, namespace
-
-
-def learnable_turns(
-    mask: Array, *, error: Array | None = None, idle: Array | None = None, cut_off: Array | None = None
-) -> Array:
-    """Return the turns that a loss may use.
-
-    ``learnable[i, t] = mask[i, t] and not (error[i] or idle[i, t] or cut_off[i, t])``
-
-    Args:
-        mask: bool (E, T), True where there is a turn.
-        error: bool (E,), episodes that ended by a failure of the machinery: their rewards say nothing.
-        idle: bool (E, T), turns at which the agent could do nothing, as when another one was to move.
-        cut_off: bool (E, T), turns whose response was cut off by a limit on its length; None to learn from them.
-
-    Returns:
-        bool (E, T).
-    """
-    namespace(mask, error, idle, cut_off)
-    check("mask", mask, (None, None), "bool")
-    learnable = mask
-    if error is not None:
-        check("error", error, mask.shape[:1], "bool")
-        learnable = learnable & ~error[:, None]
-    for name, excluded in (("idle", idle), ("cut_off", cut_off)):
-        if excluded is not None:
-            check(name, excluded, mask.shape, "bool")
-            learnable = learnable & ~excluded
-    return learnable
 
 
 def discounted_returns(

@@ -11,7 +11,7 @@ from gem_core.types import Observation, Response
 from gem_train.learner.generation import sample
 from gem_train.learner.model import Cache
 from gem_train.learner.playing import encode, next_piece, shown_and_said, text_of
-from gem_train.learner.run_folder import RunFolder
+from gem_train.learner.run import RunFolder
 from gem_train.learner.vocabulary import END
 
 

@@ -38,7 +38,7 @@ _DEFAULTS = {field.name: field.default for field in fields(TrainOptions)}
 _ABOVE_0 = click.FloatRange(min=0, min_open=True)
 _FROM_0 = click.FloatRange(min=0)
 _SHARE = click.FloatRange(min=0, max=1)
-_BESIDE_RESUME = ("resume", "imports", "tensorboard", "wandb", "as_json")
+_BESIDE_RESUME = ("resume", "imports", "tensorboard", "as_json")
 
 
 def _options_of_a_run(*options: tuple[str, Any, str]) -> Callable[[Any], Any]:
@@ -75,9 +75,9 @@ A new policy writes random text, which no environment can read: so it first imit
 at random unless --imitate names another. It reads the conversation so far, or what a view in --wrappers
 shows.
 \b
-The folder of the run has options.json, metrics.jsonl, samples.jsonl, checkpoint.pt and
-curves.png. Ctrl-C keeps a checkpoint. The same command with --out, or --resume FOLDER, goes on, and
-ends with the metrics and weights of a run that was never stopped (with --overlap nearly).
+The folder of the run has options.json, metrics.jsonl, checkpoint.pt and curves.png. Ctrl-C keeps a
+checkpoint. The same command with --out, or --resume FOLDER, goes on, and ends with the metrics and
+weights of a run that was never stopped (with --overlap nearly).
 \b
 Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument, 130 after Ctrl-C.
 """,
@@ -90,7 +90,6 @@ Exit code: 0 if every episode ran, 1 if one had an error, 2 for a wrong argument
 @click.option("-s", "--seed", type=AtLeast(min=0), default=0, show_default=True, help="Seed of the run.")
 @click.option("--threads", type=AtLeast(min=0), default=0, help="Threads of torch.  [default: torch's own]")
 @click.option("--tensorboard", is_flag=True, help="Write for TensorBoard as well, into FOLDER/tensorboard.")
-@click.option("--wandb", metavar="PROJECT", help="Log to a project of Weights & Biases as well.")
 @click.option("--json", "as_json", is_flag=True, help="Write the last metrics as JSON.")
 @_options_of_a_run(
     ("--algorithm", click.Choice(ALGORITHMS), "Estimator of advantages, and loss."),
@@ -137,7 +136,6 @@ def command(
     resume: str | None,
     out: str | None,
     tensorboard: bool,
-    wandb: str | None,
     as_json: bool,
     **given: Any,
 ) -> None:
@@ -150,8 +148,7 @@ def command(
     from gem_core.rollouts import current_folder_importable
 
     try:
-        from gem_train.learner.run import train
-        from gem_train.learner.run_folder import RunFolder
+        from gem_train.learner.run import RunFolder, train
     except ImportError as error:
         raise MissingRequirementError("gem train needs PyTorch: pip install 'gem-train[torch]'") from error
     ctx.with_resource(current_folder_importable())  # a player to imitate may be there
@@ -169,7 +166,6 @@ def command(
                 options,
                 folder,
                 tensorboard=tensorboard,
-                wandb=wandb,
                 on_imitation=lambda step, loss: progress.advance(step + 1, f"imitation, loss {loss:.3f}"),
                 on_update=lambda update, metrics: progress.advance(steps + update, _line(metrics)),
             )

@@ -1,18 +1,21 @@
-"""``train``: a run from its first update, or from its last checkpoint, to the end, kept in a folder."""
+"""``train``: a run from its first update, or from its last checkpoint, to the end; ``RunFolder`` keeps it."""
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import torch
 
+from gem_core.errors import ArgumentError
+from gem_train.learner.learning import Learner
 from gem_train.learner.options import TrainOptions
-from gem_train.learner.run_folder import RunFolder
 from gem_train.learner.training import Training, describe, warm_start
-from gem_train.reporting import MetricsLog, read_metrics
+from gem_train.reporting import MetricsLog, plot_run, read_metrics
 
 
 def train(
@@ -20,7 +23,6 @@ def train(
     folder: str | Path,
     *,
     tensorboard: bool = False,
-    wandb: str | None = None,
     on_imitation: Callable[[int, float], None] = lambda step, loss: None,
     on_update: Callable[[int, dict[str, float]], None] = lambda update, metrics: None,
 ) -> dict[str, float | None]:
@@ -33,9 +35,8 @@ def train(
 
     Args:
         options: Of the run.
-        folder: ``options.json``, ``metrics.jsonl``, ``samples.jsonl``, ``checkpoint.pt``, ``curves.png``.
+        folder: ``options.json``, ``metrics.jsonl``, ``checkpoint.pt``, ``curves.png``.
         tensorboard: Whether to write for TensorBoard as well.
-        wandb: A project of Weights & Biases to log to as well.
         on_imitation: Called with the number of each step of imitation, from 0, and its loss.
         on_update: Called with the number of each update, from 1, and its metrics.
 
@@ -47,18 +48,19 @@ def train(
     """
     run = RunFolder(folder)
     run.begin(options)
-    with _threads(options.threads), closing(MetricsLog(folder, tensorboard, wandb)) as log:
+    if options.threads:
+        torch.set_num_threads(options.threads)
+    with closing(MetricsLog(folder, tensorboard)) as log:
         learner = run.load()
         if learner is None:
             learner = warm_start(options, on_imitation)
             run.save(learner.state())
         log.truncate_after(learner.updates)
-        run.truncate_samples(learner.updates)
         state = learner.state()
         try:
             with Training(learner) as training:
                 while learner.updates < options.updates:
-                    metrics = _update(training, run)
+                    metrics = _update(training)
                     log.write(learner.updates, metrics)
                     state = learner.state()
                     if _is_due(learner.updates, options.checkpoint_every, options):
@@ -73,15 +75,12 @@ def train(
     return read_metrics(folder)[-1]
 
 
-def _update(training: Training, run: RunFolder) -> dict[str, float]:
+def _update(training: Training) -> dict[str, float]:
     """Make an update and what is due after it, and return all metrics."""
     options, started = training.options, time.perf_counter()
-    metrics, played = training.update()
+    metrics = training.update().metrics
     metrics["seconds"] = time.perf_counter() - started
-    updates = training.learner.updates
-    if updates == 1 or _is_due(updates, options.checkpoint_every, options):
-        run.add_samples(updates, played)
-    if _is_due(updates, options.eval_every, options):
+    if _is_due(training.learner.updates, options.eval_every, options):
         ids = options.eval_envs or tuple(dict.fromkeys(options.env))
         for env_id in ids:
             name = "eval" if len(ids) == 1 and ids == options.env else f"eval/{env_id}"
@@ -94,12 +93,60 @@ def _is_due(update: int, every: int, options: TrainOptions) -> bool:
     return update == options.updates or (every > 0 and update % every == 0)
 
 
-@contextmanager
-def _threads(count: int) -> Iterator[None]:
-    """Let torch use so many threads; 0 leaves it as it is."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count or before)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+class RunFolder:
+    """What a run keeps, and goes on from.
+
+    Args:
+        path: Of the folder.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._options, self._checkpoint = self.path / "options.json", self.path / "checkpoint.pt"
+
+    def options(self) -> TrainOptions:
+        """Return the options of the run that is here.
+
+        Raises:
+            ArgumentError: There is none.
+        """
+        if not self._options.exists():
+            raise ArgumentError(f"{self.path} holds no run: it has no options.json")
+        return TrainOptions.from_dict(json.loads(self._options.read_text(encoding="utf-8")))
+
+    def begin(self, options: TrainOptions) -> None:
+        """Keep the options; where there is a checkpoint, check that it has the same.
+
+        Raises:
+            ArgumentError: Some are others, or cannot be kept as JSON.
+        """
+        given = options.to_dict()
+        if not self._checkpoint.exists():
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._options.write_text(json.dumps(given, indent=1) + "\n", encoding="utf-8")
+            return
+        there = self.options().to_dict()
+        others = [
+            f"{name} is {there[name]!r} there, not {value!r}" for name, value in given.items() if there[name] != value
+        ]
+        if others:
+            raise ArgumentError(
+                f"{self.path} holds a run with other options: {'; '.join(others)}. Go on with it by "
+                f"'gem train --resume {self.path}', or name another folder"
+            )
+
+    def save(self, state: dict[str, Any]) -> None:
+        """Replace the checkpoint by what ``Learner.state`` returned; it is never half written."""
+        unfinished = self._checkpoint.with_suffix(".partial")
+        torch.save(state, unfinished)
+        unfinished.replace(self._checkpoint)
+
+    def load(self) -> Learner | None:
+        """Return the learner as it was at the last checkpoint; None where there is none yet."""
+        if not self._checkpoint.exists():
+            return None
+        return Learner.restored(torch.load(self._checkpoint, weights_only=True))
+
+    def draw(self) -> None:
+        """Write ``curves.png``."""
+        plot_run(self.path)

@@ -1,4 +1,4 @@
-"""What a training run leaves behind: ``metrics.jsonl``, TensorBoard, Weights & Biases, and curves.
+"""What a training run leaves behind: ``metrics.jsonl``, TensorBoard and curves.
 
 Names are imported on first use, so that a log is written without loading matplotlib.
 """

@@ -1,3 +1,3 @@
 from .curves import plot_run as plot_run
 from .intervals import Interval as Interval, mean_interval as mean_interval
-from .metrics import MetricsLog as MetricsLog, read_metrics as read_metrics, truncate_jsonl as truncate_jsonl
+from .metrics import MetricsLog as MetricsLog, read_metrics as read_metrics

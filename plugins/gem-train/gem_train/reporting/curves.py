@@ -32,30 +32,20 @@ def plot_run(folder: str | Path) -> Path:
     metrics = read_metrics(folder)
     names = dict.fromkeys(name for line in metrics for name in line)
     evaluations = dict.fromkeys(name.rpartition("/")[0] for name in names if name.startswith("eval/"))
-    known = {name.rpartition("/")[2] for name in names}
-    shown = [name for name in SHOWN if name in known] or ["return"]
-    columns = min(len(shown), 3)
-    rows = -(-len(shown) // columns)
+    shown = [name for name in SHOWN if any(known.rpartition("/")[2] == name for known in names)] or ["return"]
     width = len(metrics) // 40 * 2 + 1  # of the smoothed line: 5 % of the run, an odd number
-    figure = Figure(figsize=(3.6 * columns, 2.3 * rows + 0.4), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).flat
-    for axes, name in zip(panels, shown, strict=False):
+    rows = -(-len(shown) // 3)
+    figure = Figure(figsize=(11, 2.4 * rows), layout="constrained")
+    for place, name in enumerate(shown, start=1):
+        axes = figure.add_subplot(rows, 3, place, title=SHOWN[name], xlabel="update")
         updates, values = _points(metrics, name)
-        if width > 1:
-            axes.plot(updates, values, color="C0", alpha=0.35, linewidth=0.8, label="one update")
-        axes.plot(updates, _smoothed(values, width), color="C0", marker="" if len(values) > 1 else ".", label=name)
+        axes.plot(updates, values, color="C0", alpha=0.35, linewidth=0.8, marker=".", markersize=1, label="one update")
+        axes.plot(updates, _smoothed(values, width), color="C0", label=f"mean of {width}")
         for number, prefix in enumerate(evaluations, start=1):
             axes.plot(*_points(metrics, f"{prefix}/{name}"), "o", color=f"C{number % 10}", markersize=4, label=prefix)
-        axes.set_title(SHOWN[name])
-        axes.set_xlabel("update")
         if name == "success":
             axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    for unused in panels[len(shown) :]:
-        unused.remove()
-    if evaluations or width > 1:
-        lines, labels = figure.axes[0].get_legend_handles_labels()
-        labels = [f"mean of {width} updates" if label == shown[0] else label for label in labels]
-        figure.legend(lines, labels, loc="outside upper left", ncols=2 * columns, frameon=False)
+    figure.axes[0].legend(fontsize="small")
     path = Path(folder) / "curves.png"
     figure.savefig(path, dpi=160)
     return path

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from statistics import fmean, stdev
+from statistics import fmean
 from typing import NamedTuple
 
 
@@ -28,12 +28,10 @@ def mean_interval(values: Sequence[float]) -> Interval:
     The interval is ``mean ± t(0.975, n - 1) · s / √n`` with the sample's deviation ``s``. It takes the values as drawn
     from a normal distribution, which for five seeds cannot be checked.
     """
-    from scipy.stats import t  # type: ignore[import-untyped]
+    from scipy.stats import ttest_1samp  # type: ignore[import-untyped]
 
-    if not values:
-        return Interval(math.nan, None, None)
-    mean = fmean(values)
+    mean = fmean(values) if values else math.nan
     if len(values) < 2:
         return Interval(mean, None, None)
-    half = float(t.ppf(0.975, len(values) - 1)) * stdev(values) / math.sqrt(len(values))
-    return Interval(mean, mean - half, mean + half)
+    low, high = ttest_1samp(values, mean).confidence_interval()
+    return Interval(mean, float(low), float(high))

@@ -1,4 +1,4 @@
-"""Metrics of a run, a line an update: ``metrics.jsonl``, and where asked TensorBoard and Weights & Biases."""
+"""Metrics of a run, a line an update: ``metrics.jsonl``, and if asked TensorBoard."""
 
 from __future__ import annotations
 
@@ -22,20 +22,16 @@ class MetricsLog:
     Args:
         folder: The folder of the run, made where it is missing. ``metrics.jsonl`` in it is continued.
         tensorboard: Whether to write for TensorBoard as well, into ``folder/tensorboard``.
-        wandb: A project of Weights & Biases to log to as well; None for none. Each session is a run of its own, in the
-            group that has the folder's name. The variable ``WANDB_MODE=offline`` needs no account: the run is kept in
-            ``folder/wandb``, for ``wandb sync``.
 
     Raises:
-        MissingRequirementError: The package that writes for TensorBoard or for Weights & Biases is not installed.
+        MissingRequirementError: The package that writes for TensorBoard is not installed.
     """
 
-    def __init__(self, folder: str | Path, tensorboard: bool = False, wandb: str | None = None) -> None:
+    def __init__(self, folder: str | Path, tensorboard: bool = False) -> None:
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         self._board_folder = folder / "tensorboard"
         self._board = _open_tensorboard(self._board_folder) if tensorboard else None
-        self._wandb = _open_wandb(folder, wandb) if wandb is not None else None
         self._path = folder / METRICS_FILE
         cut_half_line(self._path)
         self._file = self._path.open("a", encoding="utf-8")
@@ -55,17 +51,15 @@ class MetricsLog:
             for name, value in values.items():
                 self._board.add_scalar(name, value, update)
             self._board.flush()
-        if self._wandb is not None:
-            self._wandb.log(values, step=update)
 
     def truncate_after(self, update: int) -> None:
         """Remove what was written for later updates, to resume from a checkpoint of this one.
 
-        TensorBoard no longer shows the later updates. A run of Weights & Biases cannot be shortened: it stays as it is
-        beside the new one.
+        TensorBoard no longer shows the later updates.
         """
         self._file.close()
-        truncate_jsonl(self._path, update)
+        kept = [line for line in read_jsonl(self._path) if line["update"] <= update]
+        self._path.write_text("".join(json.dumps(line) + "\n" for line in kept), encoding="utf-8")
         self._file = self._path.open("a", encoding="utf-8")
         if self._board is not None:
             self._board.close()
@@ -76,8 +70,6 @@ class MetricsLog:
         self._file.close()
         if self._board is not None:
             self._board.close()
-        if self._wandb is not None:
-            self._wandb.finish()
 
 
 def read_metrics(folder: str | Path) -> list[dict[str, float | None]]:
@@ -96,23 +88,6 @@ def read_jsonl(path: Path) -> list[dict[str, Any]]:
         return [json.loads(line) for line in lines if line.endswith("\n")]
 
 
-def truncate_jsonl(path: Path, update: int) -> None:
-    """Cut a file of JSON lines before the first whose ``update`` is later than this one; a missing file stays missing.
-
-    For what a run writes beside its metrics, as ``samples.jsonl``.
-    """
-    cut_half_line(path)
-    if not path.exists():
-        return
-    kept = 0
-    with path.open("r+b") as file:
-        for line in file:
-            if json.loads(line)["update"] > update:
-                break
-            kept += len(line)
-        file.truncate(kept)
-
-
 def cut_half_line(path: Path) -> None:
     """Remove a last line whose end is missing: its process was killed while it wrote."""
     if path.exists():
@@ -126,11 +101,3 @@ def _open_tensorboard(folder: Path, purge_step: int | None = None) -> Any:
     except ImportError as error:
         raise MissingRequirementError("TensorBoard is not installed: pip install 'gem-train[tensorboard]'") from error
     return SummaryWriter(str(folder), purge_step=purge_step)
-
-
-def _open_wandb(folder: Path, project: str) -> Any:
-    try:
-        import wandb  # type: ignore[import-not-found,unused-ignore]
-    except ImportError as error:
-        raise MissingRequirementError("Weights & Biases is not installed: pip install 'gem-train[wandb]'") from error
-    return wandb.init(project=project, group=folder.resolve().name, dir=str(folder))
