@@ -43,7 +43,7 @@ PRIVATE_IN_TESTS = {
     "plugins/gem-tools/tests/test_python_docker.py": {"_answer"},
     "plugins/gem-tools/tests/test_python_levels.py": {"_warned", "_working"},
     "plugins/gem-tools/tests/test_requirements_probes.py": {"_working"},
-    "tests/conftest.py": {"_find", "_named", "_registry"},
+    "tests/conftest.py": {"_registry", "_spaces"},
     "tests/test_completion.py": {"_registry"},
     "tests/test_tool_limits.py": {"_sessions"},
     "tests/testing/reference_envs.py": {"_np_random"},

@@ -1,7 +1,8 @@
 # /// script
 # requires-python = ">=3.11"
 # dependencies = [
-#   "verl>=0.9.1,<0.10", "torch", "cachetools", "fastapi", "uvicorn", "gem-core", "gem-games", "gem-train",
+#   "verl>=0.9.1,<0.10", "TransferQueue>=0.1.10", "torch", "cachetools", "fastapi", "uvicorn",
+#   "gem-core", "gem-games", "gem-train",
 # ]
 # ///
 r"""verl (0.9.1): episodes of GEM, and the paper's algorithms with a reward, a discount and an advantage for each turn.
