@@ -1,29 +1,18 @@
-"""For maintainers of gem-math, after an upgrade of reasoning-gym: print ``gem_math/reasoning/tasks.py`` anew."""
+"""For maintainers of gem-math, after an upgrade of reasoning-gym: print ``gem_math/data/reasoning_tasks.json`` anew."""
 
 from __future__ import annotations
 
+import json
 import sys
-from importlib.metadata import version
 
 
 def main() -> None:
-    """Print the module."""
-    import reasoning_gym  # fills the table
+    """Print the tasks with their categories."""
+    import reasoning_gym  # noqa: F401  # fills the table
     from reasoning_gym.factory import DATASETS
 
-    lines = [
-        f'"""The tasks of reasoning-gym {version(reasoning_gym.__name__)}; made by scripts/list_reasoning_tasks.py."""',
-        "",
-        "TASKS = {",
-        *(
-            f'    "{name}": "{dataset.__module__.split(".")[1]}",'
-            for name, (dataset, _) in sorted(DATASETS.items())
-            if name != "composite"
-        ),
-        "}",
-        '"""The category of each task, by its name."""',
-    ]
-    sys.stdout.write("\n".join(lines) + "\n")
+    tasks = {name: each.__module__.split(".")[1] for name, (each, _) in sorted(DATASETS.items()) if name != "composite"}
+    sys.stdout.write(json.dumps(tasks, indent=2) + "\n")
 
 
 if __name__ == "__main__":

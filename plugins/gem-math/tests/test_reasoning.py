@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import re
 import signal
 import subprocess
@@ -20,11 +21,10 @@ import gem_core as gem
 from gem_core.errors import ArgumentError, EnvFaultError
 from gem_core.testing import check_env
 from gem_core.tools import Tool, ToolEnv
-from gem_math.processes import pool
-from gem_math.reasoning import library
+from gem_math import processes
 from gem_math.reasoning.env import LONGEST_ANSWER, PROMPT
-from gem_math.reasoning.library import EndedError, LibraryError, ask, end_processes
-from gem_math.reasoning.tasks import TASKS
+from gem_math.reasoning.library import EndedError, LibraryError, ask, pool
+from gem_math.reasoning.listing import TASKS
 
 pytest.importorskip("reasoning_gym", reason="rg:* needs gem-math[reasoning-gym], which needs a C compiler")
 
@@ -77,7 +77,7 @@ def silent(observation: str) -> str:
 def theirs() -> dict[str, Any]:
     """What the library itself returns, in a process with the hash seed that ours fixes."""
     done = subprocess.run(
-        [sys.executable, "-c", THEIRS], capture_output=True, check=True, env={**os.environ, **pool._FIXED}
+        [sys.executable, "-c", THEIRS], capture_output=True, check=True, env={**os.environ, **processes.FIXED}
     )
     found: dict[str, Any] = json.loads(done.stdout)
     return found
@@ -89,10 +89,7 @@ def test_the_table_of_tasks_is_that_of_the_installed_library() -> None:
     script = ROOT / "scripts" / "list_reasoning_tasks.py"
     if script.exists():
         made = subprocess.run([sys.executable, str(script)], capture_output=True, check=True, text=True).stdout
-        import gem_math.reasoning.tasks as table
-
-        assert table.__file__ is not None
-        assert Path(table.__file__).read_text(encoding="utf-8") == made
+        assert json.loads(made) == TASKS
     ids = set(gem.list_envs("rg"))
     assert ids == {f"rg:{name}" for name in TASKS} | {"rg:composite"}
     assert len(ids) == 106
@@ -143,12 +140,12 @@ def test_rows_do_not_depend_on_what_was_asked_before() -> None:
     """A process that was just started gives the rows that one in use gave, whichever came first."""
     slow = {"knight_swap", "futoshiki", "zebra_puzzles"}
     names = [name for name in TASKS if name not in slow]
-    specs = [{"task": name, "size": 500, "level": None, "levels": {}, "parameters": {}} for name in names]
+    specs = [pickle.dumps({"task": name, "size": 500}) for name in names]
     requests = [
         {"do": "row", "spec": spec, "seed": seed, "row": row} for spec in specs for seed, row in ((5, 2), (505, 0))
     ]
     before = [ask(request, 60) for request in requests]
-    end_processes()
+    pool.end()
     after = [ask(request, 60) for request in reversed(requests)]
     for first, second in zip(before, reversed(after), strict=True):
         assert rounded(first["question"]) == rounded(second["question"])
@@ -159,7 +156,7 @@ def test_rows_do_not_depend_on_what_was_asked_before() -> None:
 @pytest.mark.few(1)
 def test_rows_from_global_generators_do_not_depend_on_others(name: str) -> None:
     """The library draws them from state that every row before has changed."""
-    spec = {"task": name, "size": 500, "level": None, "levels": {}, "parameters": {}}
+    spec = pickle.dumps({"task": name, "size": 500})
 
     def rows(order: Iterable[int]) -> dict[int, str]:
         requests = {row: {"do": "row", "spec": spec, "seed": 9, "row": row} for row in order}
@@ -246,14 +243,14 @@ def test_partial_scores_are_rewards_and_not_correct() -> None:
         ({"seed": -1}, "seed must be a whole number from 0 to 2147483647, not -1"),
         ({"epochs": 0}, "epochs must be a whole number from 1 to 2147483, not 0"),
         ({"time_limit_s": 0}, "time_limit_s must be a positive number of seconds, not 0"),
-        ({"max_animals": object}, "rg:leg_counting: parameters must be plain data (type is none)"),
+        ({"max_animals": lambda: 1}, "rg:leg_counting: parameters must be plain data (Can't pickle"),
     ],
 )
 def test_wrong_arguments_are_told(arguments: dict[str, Any], message: str) -> None:
     """With what there is instead."""
     with pytest.raises(ArgumentError) as caught:
         gem.make("rg:leg_counting", **arguments)
-    assert str(caught.value) == message
+    assert str(caught.value).startswith(message)
 
 
 def test_a_task_without_levels_says_so() -> None:
@@ -287,7 +284,7 @@ def test_parameters_take_the_forms_that_the_library_has() -> None:
     assert asked(first, 0) == asked(gem.make("rg:time_intervals", min_date="1990-01-01", **kwargs), 0)
     assert "199" in asked(first, 0)
     assert asked(gem.make("rg:word_sorting", transformation="uppercase"), 0).isupper() is False
-    with pytest.raises(ArgumentError, match="transformation='loud' is not of the form of"):
+    with pytest.raises(ArgumentError, match="'loud' is not a valid"):
         gem.make("rg:word_sorting", transformation="loud")
 
 
@@ -333,10 +330,7 @@ def test_two_difficulties_of_codeio_do_not_disturb_each_other() -> None:
     easy = gem.make("rg:codeio", difficulty=2)
     before = asked(easy, 3)
     asked(gem.make("rg:codeio", difficulty=6), 3)
-    from gem_math.reasoning import env as module
-
-    module._rows.clear()
-    assert asked(easy, 3) == before
+    assert asked(gem.make("rg:codeio", difficulty=2, size=499), 3) == before
 
 
 def test_a_scorer_that_takes_too_long_is_the_agents_failure() -> None:
@@ -391,19 +385,19 @@ def test_a_row_that_cannot_be_made_is_a_fault(monkeypatch: pytest.MonkeyPatch) -
 
 def test_a_process_that_cannot_start_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the reason."""
-    end_processes()
+    pool.end()
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with pytest.raises(LibraryError, match=r"cannot be loaded \(its process ended at once\)"):
-        ask({"do": "check", "spec": {}}, 1)
+        ask({"do": "check", "spec": b""}, 1)
 
 
 def test_a_process_that_was_killed_is_replaced() -> None:
     """The next question is answered as if nothing had happened."""
     env = gem.make("rg:leg_counting")
     env.reset(seed=1)
-    for worker in library._pool._all:
-        os.killpg(worker._process.pid, signal.SIGKILL)
-        worker._process.wait()
+    for worker in pool.idle:
+        os.killpg(worker.process.pid, signal.SIGKILL)
+        worker.process.wait()
     env.reset(seed=2)
     _, reward, terminated, _, info = env.step("\\boxed{1}")
     assert terminated, info
@@ -414,7 +408,7 @@ def test_a_process_that_gets_no_time_is_no_failure_of_the_agent(monkeypatch: pyt
     """Whose clock ran out while the processor did little: the episode is kept out of training."""
     env = gem.make("rg:countdown", time_limit_s=30)
     env.reset(options={"index": 0})
-    monkeypatch.setattr(pool, "_SLACK_S", -30.0)
+    monkeypatch.setattr(processes, "_SLACK_S", -30.0)
     _, _, terminated, truncated, info = env.step("\\boxed{((9**9999)**9999)**9999}")
     assert (terminated, truncated, info["error"]["kind"]) == (False, True, "grading")
     assert info["error"]["message"].startswith("reasoning-gym did not answer")

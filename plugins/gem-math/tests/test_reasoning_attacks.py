@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
+from gem_math.reasoning.listing import TASKS
 from gem_math.reasoning.mending import READ_AS_FORMULAS, READ_AS_LITERALS, formula, literal
-from gem_math.reasoning.tasks import TASKS
 
 pytest.importorskip("reasoning_gym", reason="rg:* needs gem-math[reasoning-gym], which needs a C compiler")
 pytestmark = pytest.mark.thorough

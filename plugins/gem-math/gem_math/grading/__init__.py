@@ -15,7 +15,7 @@ from gem_math.grading.compare import NeedsParserError
 from gem_math.grading.extraction import boxes_of, extract_answer
 from gem_math.grading.readings import compare_texts
 from gem_math.grading.text import UnreadableError, clean, walk
-from gem_math.processes.pool import EndedError, Pool
+from gem_math.processes import EndedError, Pool
 
 MAX_ANSWER_CHARS = 4000
 _MAX_CHARS_HERE = 300
@@ -177,8 +177,7 @@ def _grade_one(answer: str, gold: str, timeout_s: float, partial_credit: bool) -
         try:
             verdict = _pool.ask(request, timeout_s)
         except EndedError as error:
-            reason = f"more than {timeout_s:g} s" if error.late else "more memory than a comparison may"
-            verdict = {"reward": 0.0, "note": f"it takes {reason}"}
+            verdict = {"reward": 0.0, "note": str(error)}
     if "raised" in verdict:
         raise RuntimeError(verdict["raised"])
     if verdict["reward"] == 1.0:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import resource
 import sys
-from collections.abc import Callable
 from typing import Any
 
 from gem_math.grading import formulas
@@ -26,40 +25,30 @@ _FORBIDDEN = (
 )  # fmt: skip
 
 
-def load() -> Callable[[dict[str, Any]], dict[str, Any]]:
-    """Return what answers requests: ``{"gold": …, "answer": …, "partial_credit": …}`` with a reward and a note."""
+def load() -> None:
+    """Fill the caches of the grammar: the first formula of a kind takes a tenth of a second."""
     logging.disable(logging.CRITICAL)
     sys.setrecursionlimit(3000)
     sys.set_int_max_str_digits(20_000)
-    # The grammar fills its caches as it reads: the first formula of a kind takes a tenth of a second.
     for gold, answer in _TYPICAL:
         compare_texts(gold, answer, False, formulas)
+
+
+def guard() -> None:
+    """Let this process write no file and start no program from now on."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    return _Handler()
+    sys.addaudithook(_refuse)
 
 
-class _Handler:
-    """Answers requests, guarded from the first one on, which the child alone takes: its parent has to fork."""
-
-    def __init__(self) -> None:
-        self.guarded = False
-
-    def __call__(self, request: dict[str, Any]) -> dict[str, Any]:
-        if not self.guarded:
-            sys.addaudithook(refuse)
-            self.guarded = True
-        reward, note = compare_texts(request["gold"], request["answer"], request["partial_credit"], formulas)
-        return {"reward": reward, "note": note}
+def handle(request: dict[str, Any]) -> dict[str, Any]:
+    """Compare ``gold`` with ``answer``; return the reward and a note."""
+    reward, note = compare_texts(request["gold"], request["answer"], request["partial_credit"], formulas)
+    return {"reward": reward, "note": note}
 
 
-def refuse(event: str, arguments: tuple[Any, ...]) -> None:
-    """Stop what runs a program, reaches the network or writes a file.
-
-    Raises:
-        PermissionError: It would.
-    """
-    if event.startswith(_FORBIDDEN):
+def _refuse(event: str, arguments: tuple[Any, ...]) -> None:
+    """Stop what runs a program, reaches the network or writes a file."""
+    writes = event == "open" and len(arguments) > 1 and set(str(arguments[1])) & set("wax+")
+    if writes or event.startswith(_FORBIDDEN):
         raise PermissionError(f"a comparison of formulas has no business with {event}")
-    if event == "open" and len(arguments) > 1 and isinstance(arguments[1], str) and set(arguments[1]) & set("wax+"):
-        raise PermissionError("a comparison of formulas writes no file")

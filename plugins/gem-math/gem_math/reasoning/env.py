@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
-import datetime
-import enum
-import json
 import math
-from collections import OrderedDict
+import pickle
 from collections.abc import Mapping
-from dataclasses import asdict, is_dataclass
+from functools import lru_cache
 from typing import Any, ClassVar
 
 from gem_core.data import chosen_index
 from gem_core.env import Env
-from gem_core.errors import ArgumentError, EnvFaultError, ResetNeededError
+from gem_core.errors import ArgumentError, EnvFaultError
 from gem_core.parsing import extract_last_boxed_answer, extract_last_tagged_answer
 from gem_core.suggestions import did_you_mean
 from gem_core.types import TERMINAL_STATE, Concurrency, Info, ResetResult, StepResult
 from gem_math.reasoning.library import EndedError, LibraryError, ask
-from gem_math.reasoning.tasks import TASKS
+from gem_math.reasoning.listing import TASKS
 
 PROMPT = "{question}\n\nWrite your final answer between <answer> and </answer>."
 
@@ -30,15 +26,9 @@ LONGEST_ANSWER = 1_000_000
 """Characters; the longest right answer that was seen, of ``tower_of_hanoi`` at its highest level, has 262,126."""
 
 _GENERATION_S = 120.0
+_SAMPLED = 16
+"""Rows whose answers are random actions."""
 _ENTRY_KEYS = ("task", "weight", "level", "levels")
-
-_MOST_KEPT = 512
-
-_checked: set[str] = set()
-"""What reasoning-gym has accepted in this process, so that the next instance costs nothing."""
-
-_rows: OrderedDict[tuple[str, int, int], dict[str, Any]] = OrderedDict()
-"""Rows that were asked last: the members of a group start from the same one."""
 
 
 class ReasoningGymEnv(Env):
@@ -102,11 +92,13 @@ class ReasoningGymEnv(Env):
         self.prompt_template = prompt_template
         self.time_limit_s = float(time_limit_s)
         self._rows = MOST_ROWS // size * size if epochs is None else size * epochs
-        self._spec = _specification(task, size, level, levels, parameters)
-        self._key = json.dumps(self._spec, sort_keys=True)
+        spec = _specification(task, size, level, levels, parameters)
+        try:
+            self._spec = pickle.dumps(spec)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise ArgumentError(f"rg:{task}: parameters must be plain data ({error})") from error
         self._index = 0
-        self._row: dict[str, Any] | None = None
-        self._check()
+        _asked(self._name, {"do": "check", "spec": self._spec})
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Ask a row.
@@ -120,7 +112,6 @@ class ReasoningGymEnv(Env):
             EnvFaultError: reasoning-gym does not come up with the row.
         """
         super().reset(seed=seed)
-        self._row = None
         self._index = chosen_index(options, MOST_ROWS) if options else int(self.np_random.integers(self._rows))
         row = self.present_row()
         return self.prompt_template.replace("{question}", row["question"]), self._about()
@@ -151,12 +142,9 @@ class ReasoningGymEnv(Env):
         return TERMINAL_STATE, score, True, False, info
 
     def sample_random_action(self) -> str:
-        """Return the answer of another row, or one made for tasks that bring none: well-formed, and rarely right."""
-        if self._row is None:
-            raise ResetNeededError(f"{self._name}: call reset() before sample_random_action()")
-        draw = int(self.action_random.integers(2**32))
-        request = {"do": "sample", "spec": self._spec, "seed": self.seed, "entry": self._row["entry"], "draw": draw}
-        return _response(self._asked(request)["sample"])
+        """Return the answer of another row, which is rarely right; an empty one for tasks without answers."""
+        other = int(self.action_random.integers(min(self.size, _SAMPLED)))
+        return _response(_row(self._name, self._spec, self.seed, other)["answer"] or "")
 
     def gold_action(self) -> str | None:
         """Return the row's own answer as a response; None for tasks that bring none."""
@@ -175,43 +163,30 @@ class ReasoningGymEnv(Env):
 
     def _about(self) -> Info:
         epoch, row = divmod(self._index, self.size)
-        info: Info = {"task_id": f"{self._seed_of(epoch)}-{row}", "index": self._index, "epoch": epoch}
+        info: Info = {"task_id": f"{self.seed + epoch * self.size}-{row}", "index": self._index, "epoch": epoch}
         return info | {"source": self.present_row()["source"]}
-
-    def _seed_of(self, epoch: int) -> int:
-        return self.seed + epoch * self.size
 
     def present_row(self) -> dict[str, Any]:
         """Return the row that is asked: question, answer, and what the library keeps beside them."""
-        if self._row is None:
-            epoch, row = divmod(self._index, self.size)
-            seed = self._seed_of(epoch)
-            known = self._key, seed, row
-            self._row = _rows.get(known)
-            if self._row is None:
-                self._row = _rows[known] = self._asked({"do": "row", "spec": self._spec, "seed": seed, "row": row})
-                if len(_rows) > _MOST_KEPT:
-                    with contextlib.suppress(KeyError):  # another thread was faster
-                        _rows.popitem(last=False)
-        return self._row
+        epoch, row = divmod(self._index, self.size)
+        return _row(self._name, self._spec, self.seed + epoch * self.size, row)
 
-    def _asked(self, request: dict[str, Any]) -> dict[str, Any]:
-        try:
-            answer = ask(request, _GENERATION_S)
-        except EndedError as error:
-            raise EnvFaultError(
-                f"{self._name}: no row was made with these parameters: {error}; give it easier ones"
-            ) from error
-        if "wrong" in answer:
-            raise ArgumentError(f"{self._name}: {answer['wrong']}")
-        if "raised" in answer:
-            raise EnvFaultError(f"{self._name}: reasoning-gym raised {answer['raised']}; give it other parameters")
-        return answer
 
-    def _check(self) -> None:
-        if self._key not in _checked:
-            self._asked({"do": "check", "spec": self._spec})
-            _checked.add(self._key)
+@lru_cache(maxsize=512)  # the members of a group start from the same row
+def _row(name: str, spec: bytes, seed: int, row: int) -> dict[str, Any]:
+    return _asked(name, {"do": "row", "spec": spec, "seed": seed, "row": row})
+
+
+def _asked(name: str, request: dict[str, Any]) -> dict[str, Any]:
+    try:
+        answer = ask(request, _GENERATION_S)
+    except EndedError as error:
+        raise EnvFaultError(f"{name}: no row was made with these parameters: {error}; give it easier ones") from error
+    if "wrong" in answer:
+        raise ArgumentError(f"{name}: {answer['wrong']}")
+    if "raised" in answer:
+        raise EnvFaultError(f"{name}: reasoning-gym raised {answer['raised']}; give it other parameters")
+    return answer
 
 
 def _response(answer: str) -> str:
@@ -228,7 +203,7 @@ def _check_range(name: str, value: Any, least: int, most: int) -> None:
 def _specification(
     task: str, size: int, level: Any, levels: Mapping[str, Any] | None, parameters: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return what reasoning-gym is asked for, as JSON."""
+    """Return what reasoning-gym is asked for."""
     if task != "composite":
         return _part(task, size, {"level": level, "levels": levels, **parameters})
     entries = parameters.get("datasets")
@@ -270,29 +245,10 @@ def _part(task: Any, size: int, options: Mapping[str, Any]) -> dict[str, Any]:
     levels = options.get("levels")
     if levels is not None and not isinstance(levels, Mapping):
         raise ArgumentError(f"levels must map names of attributes to levels, not {levels!r:.100}")
-    spec = {
+    return {
         "task": name,
         "size": size,
         "level": options.get("level"),
         "levels": dict(levels or {}),
         "parameters": parameters,
     }
-    try:
-        plain: dict[str, Any] = json.loads(json.dumps(spec, default=_as_json))
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"rg:{name}: parameters must be plain data ({error})") from error
-    return plain
-
-
-def _as_json(value: Any) -> Any:
-    if isinstance(value, datetime.date | datetime.time):
-        return value.isoformat()
-    if isinstance(value, enum.Enum):
-        return value.value
-    if is_dataclass(value) and not isinstance(value, type):
-        return asdict(value)
-    if isinstance(value, set | frozenset):
-        return sorted(value)
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} is none")

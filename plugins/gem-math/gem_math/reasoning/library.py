@@ -6,25 +6,25 @@ import os
 from typing import Any
 
 from gem_core.errors import GemError, refuse_windows
-from gem_math.processes.pool import EndedError, Pool
+from gem_math.processes import EndedError, Pool
 
 refuse_windows("rg:*")
 
-__all__ = ["EndedError", "LibraryError", "ask", "end_processes"]
+__all__ = ["EndedError", "LibraryError", "ask", "pool"]
 
 
 class LibraryError(GemError):
     """reasoning-gym, or the process that runs it, failed whatever the agent did."""
 
 
-_pool = Pool("gem_math.reasoning.catalogue", "reasoning-gym", LibraryError, max(1, min(4, os.cpu_count() or 1)))
+pool = Pool("gem_math.reasoning.catalogue", "reasoning-gym", LibraryError, max(1, min(4, os.cpu_count() or 1)))
 
 
 def ask(request: dict[str, Any], limit_s: float) -> dict[str, Any]:
     """Have the library do something; safe to call from several threads.
 
     Args:
-        request: As ``catalogue.Catalogue.handle`` takes it.
+        request: As ``catalogue.handle`` takes it.
         limit_s: Seconds of the processor's time after which the work is ended.
 
     Returns:
@@ -34,9 +34,4 @@ def ask(request: dict[str, Any], limit_s: float) -> dict[str, Any]:
         EndedError: It took more than the limit, or died.
         LibraryError: The library cannot be loaded, or its process is ended from outside, or gets no time.
     """
-    return _pool.ask(request, limit_s)
-
-
-def end_processes() -> None:
-    """End the processes; the next call of ``ask`` starts new ones."""
-    _pool.end()
+    return pool.ask(request, limit_s)

@@ -43,8 +43,8 @@ def configuration(spec: Mapping[str, Any]) -> Any:
             )
     by_level = _at_levels(task, level, levels)
     defaults = config_class()
-    arguments = {name: _converted(getattr(defaults, name), value, name) for name, value in given.items()}
     try:
+        arguments = {name: _converted(getattr(defaults, name), value) for name, value in given.items()}
         config = config_class(**{**by_level, **arguments, "size": spec["size"], "seed": 0})
         if hasattr(config, "validate"):
             config.validate()
@@ -86,24 +86,10 @@ def _check_level(what: str, level: Any, count: int) -> None:
         raise WrongError(f"{what} must be a whole number from 0 to {count - 1}, not {level!r}")
 
 
-def _converted(default: Any, value: Any, name: str) -> Any:
-    """Return a value that came as JSON in the form that the default has."""
-    try:
-        if isinstance(default, tuple) and isinstance(value, list):
-            return tuple(value)
-        if isinstance(default, datetime.time) and isinstance(value, str):
-            return datetime.time.fromisoformat(value)
-        if isinstance(default, datetime.date) and isinstance(value, str):
-            return datetime.date.fromisoformat(value)
-        if isinstance(default, enum.Enum):
-            return type(default)(value)
-        if dataclasses.is_dataclass(default) and not isinstance(default, type) and isinstance(value, dict):
-            return dataclasses.replace(default, **value)
-        if isinstance(default, list) and default and isinstance(value, list):
-            if isinstance(default[0], enum.Enum):
-                return [type(default[0])(part) for part in value]
-            if isinstance(default[0], tuple):
-                return [tuple(part) for part in value]
-    except (ValueError, TypeError) as error:
-        raise WrongError(f"{name}={value!r} is not of the form of {default!r}: {error}") from error
+def _converted(default: Any, value: Any) -> Any:
+    """Return a value as the default's type: JSON has no tuples, enumerations, dates and times."""
+    if isinstance(default, datetime.date | datetime.time) and isinstance(value, str):
+        return type(default).fromisoformat(value)
+    if isinstance(default, tuple | enum.Enum):
+        return type(default)(value)
     return value

@@ -1,1 +1,0 @@
-"""Processes that do work which must be ended when it takes too much time or memory."""
