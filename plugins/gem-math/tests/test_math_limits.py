@@ -236,9 +236,9 @@ def children(of: int | None = None) -> list[int]:
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             text = stat.read_text(encoding="utf-8")
+            command = stat.with_name("cmdline").read_bytes()
         except OSError:
             continue
-        command = stat.with_name("cmdline").read_bytes() if stat.with_name("cmdline").exists() else b""
         if text.rpartition(")")[2].split()[1] == own and (b"grading.worker" in command or not command):
             found.append(int(stat.parent.name))
     return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import sys
 from importlib.metadata import entry_points
 
 import pytest
@@ -27,5 +28,6 @@ def test_without_the_extra_make_says_what_to_install(monkeypatch: pytest.MonkeyP
         return version(name)
 
     monkeypatch.setattr(importlib.metadata, "version", without)
+    monkeypatch.setitem(sys.modules, "reasoning_gym", None)
     with pytest.raises(MissingRequirementError, match=r'pip install "gem-math\[reasoning-gym\]"'):
         gem.make("rg:leg_counting")
