@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import re
-from functools import cache
+
+SITE = "https://gem-core.readthedocs.io/"
+"""The address of the documentation."""
 
 ONE_PAGE = frozenset({"rg", "ta"})
 """Categories of many small families, which share one page of the gallery."""
@@ -21,7 +22,7 @@ def page_url(path: str = "") -> str:
     Args:
         path: Below the root of the site, as ``"terminal/"`` or ``"terminal/#when-something-is-missing"``.
     """
-    return f"{_site()}{path}"
+    return f"{SITE}{path}"
 
 
 def gallery_page(env_id: str) -> str:
@@ -36,14 +37,3 @@ def gallery_page(env_id: str) -> str:
     family = _VERSION.split(name, maxsplit=1)[0]
     slug = _MARKS.sub("-", _NEW_WORD.sub("-", family).lower()).strip("-")
     return f"gallery/{category}/{slug}/"
-
-
-@cache
-def _site() -> str:
-    """Return the address that the metadata of gem-core names; empty where gem-core is not installed."""
-    try:
-        lines = importlib.metadata.metadata("gem-core").get_all("Project-URL") or []
-    except importlib.metadata.PackageNotFoundError:
-        lines = []
-    named = dict(line.split(", ", 1) for line in lines)
-    return str(named.get("Documentation", ""))

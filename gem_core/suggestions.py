@@ -6,22 +6,14 @@ import difflib
 from collections.abc import Iterable
 
 
-def nearest(wrong: str, names: Iterable[str], limit: int = 3) -> list[str]:
-    """Return the names most like a wrong one, best first, whatever their case."""
+def did_you_mean(wrong: str, names: Iterable[str]) -> str:
+    """Return " Did you mean 'a' or 'b'?", at most three names whatever their case; nothing if none is near."""
     by_folded: dict[str, str] = {}
     for name in names:
         by_folded.setdefault(name.casefold(), name)
-    found = difflib.get_close_matches(wrong[:200].casefold(), by_folded, n=limit, cutoff=0.6)
-    return [by_folded[folded] for folded in found]
-
-
-def did_you_mean(wrong: str, names: Iterable[str]) -> str:
-    """Return " Did you mean 'a' or 'b'?" with a leading space, or nothing when no name is near."""
-    found = [repr(name) for name in nearest(wrong, names)]
-    if not found:
-        return ""
-    *others, last = found
-    return f" Did you mean {', '.join(others)} or {last}?" if others else f" Did you mean {last}?"
+    found = difflib.get_close_matches(wrong[:200].casefold(), by_folded, n=3, cutoff=0.6)
+    *others, last = [repr(by_folded[folded]) for folded in found] or [""]
+    return f" Did you mean {', '.join(others)}{' or ' if others else ''}{last}?" if found else ""
 
 
 def one_slip(written: str, name: str) -> bool:

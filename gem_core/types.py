@@ -25,17 +25,6 @@ Concurrency = Literal["inline", "thread", "async", "process"]
 TERMINAL_STATE = "<episode over>"
 """The observation of an episode that has nothing more to say."""
 
-_REPORTED = (
-    "token_ids",
-    "prompt_token_ids",
-    "logprobs",
-    "finish_reason",
-    "tool_calls",
-    "reasoning",
-    "usage",
-    "model",
-)
-
 
 class Response(str):
     """A response of an agent: its text, and what the model server reported about it.
@@ -112,7 +101,7 @@ class Response(str):
 
     def reported(self) -> dict[str, Any]:
         """Return what was reported, without the fields that were not."""
-        return {name: value for name in _REPORTED if (value := getattr(self, name)) is not None}
+        return {name: value for name, value in vars(self).items() if value is not None}
 
     @classmethod
     def of(cls, text: str) -> Response:

@@ -136,7 +136,7 @@ def test_step_outside_an_episode_is_refused() -> None:
         (None, "process_actions.* not None"),
         (({"b": 1.0}, {}, {}, {}), "process_actions.*'b'"),
         (({"a": float("nan")}, {}, {}, {}), "reward of 'a'.*nan"),
-        (({}, {}, {}, {"a": 1}), "info of 'a'.*int"),
+        (({}, {}, {}, {"a": 1}), "infos .*'a': 1"),
     ],
 )
 def test_malformed_verdict_is_refused(verdict: Any, message: str) -> None:
@@ -162,7 +162,7 @@ def test_malformed_verdict_is_refused(verdict: Any, message: str) -> None:
     [
         ([], None, r"self\.agents, not \[\]"),
         (["c"], None, "self.agents, not .*'c'"),
-        (["a"], ("observation", {}), "begin_episode must return.*'observation'"),
+        (["a"], ("observation", {}), "begin_episode .*'observation'"),
         (["a"], {"b": {"role": "spy"}}, "begin_episode.*'b'"),
     ],
 )

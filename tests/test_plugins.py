@@ -132,10 +132,9 @@ def test_strict_raises_at_the_first_failure(sites: dict[str, Path]) -> None:
 
 
 def test_disabled_plugin_is_not_loaded(sites: dict[str, Path]) -> None:
-    """GEM_PLUGINS_DISABLE skips plugins by either name, and their failure; a misspelt name is told."""
-    done = report([sites["fine"], sites["exits"]], GEM_PLUGINS_DISABLE="exits, gem-fine, fin")
-    (line,) = done["stderr"]
-    assert "GEM_PLUGINS_DISABLE names 'fin'" in line
+    """GEM_PLUGINS_DISABLE skips plugins by either name, and their failure."""
+    done = report([sites["fine"], sites["exits"]], GEM_PLUGINS_DISABLE="exits, gem-fine")
+    assert done["stderr"] == []
     assert [done["plugins"][name]["disabled"] for name in ("gem-exits", "gem-fine")] == [True, True]
     assert "fine:One-v0" not in done["envs"]
 

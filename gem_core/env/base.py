@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium
@@ -86,12 +86,12 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
     _generator: np.random.Generator | None = None
     _action_generator: np.random.Generator | None = None
 
-    @cached_property
+    @functools.cached_property
     def action_space(self) -> spaces.Space[Any]:  # type: ignore[override]
         """Any text."""
         return Text()
 
-    @cached_property
+    @functools.cached_property
     def observation_space(self) -> spaces.Space[Any]:  # type: ignore[override]
         """Text, unless a subclass says otherwise."""
         return Text()
@@ -202,16 +202,12 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
 
     async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """``reset`` for code that runs in an event loop, without blocking it."""
-        arguments = reset_arguments(seed, options)
-        if self.concurrency == "inline":
-            return self.reset(**arguments)
-        return await in_thread(lambda: self.reset(**arguments))
+        reset = functools.partial(self.reset, **reset_arguments(seed, options))
+        return reset() if self.concurrency == "inline" else await in_thread(reset)
 
     async def step_async(self, action: str) -> StepResult:
         """``step`` for code that runs in an event loop, without blocking it."""
-        if self.concurrency == "inline":
-            return self.step(action)
-        return await in_thread(self.step, action)
+        return self.step(action) if self.concurrency == "inline" else await in_thread(self.step, action)
 
 
 class AsyncEnv(Env):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import numpy as np
 
@@ -155,10 +155,8 @@ def checked_beginning(name: str, possible: Sequence[str], agents: Sequence[str],
             f"{name}: begin_episode must leave some of {named(possible)} in self.agents, not {agents!r:.200}"
         )
     told = {} if told is None else told
-    if not isinstance(told, Mapping) or not all(isinstance(info, dict) for info in told.values()):
-        raise TypeError(f"{name}: begin_episode must return {{agent: info}} or None, not {told!r:.200}")
-    _check_taking_part(f"{name}: begin_episode", told, agents)
-    return told
+    _check_infos(f"{name}: begin_episode", told, agents)
+    return cast("Mapping[str, Info]", told)
 
 
 def checked_verdict(
@@ -181,16 +179,20 @@ def checked_verdict(
             f"{name}: process_actions must return (rewards, terminations, truncations, infos), not {result!r:.200}"
         )
     rewards, terminations, truncations, infos = parts
-    _check_taking_part(f"{name}: process_actions", {**rewards, **terminations, **truncations, **infos}, agents)
-    for agent, info in infos.items():
-        if not isinstance(info, dict):
-            raise TypeError(f"{name}: the info of {agent!r} must be a dictionary, not {type(info).__name__}")
+    _check_infos(f"{name}: process_actions", infos, agents)
+    _check_taking_part(f"{name}: process_actions", (*rewards, *terminations, *truncations), agents)
     return (
         {agent: checked_reward(reward, f"{name}: the reward of {agent!r}") for agent, reward in rewards.items()},
         {agent: bool(flag) for agent, flag in terminations.items()},
         {agent: bool(flag) for agent, flag in truncations.items()},
         dict(infos),
     )
+
+
+def _check_infos(whose: str, infos: object, agents: Sequence[str]) -> None:
+    if not isinstance(infos, Mapping) or not all(isinstance(info, dict) for info in infos.values()):
+        raise TypeError(f"{whose} must give infos as {{agent: info}}, not {infos!r:.200}")
+    _check_taking_part(whose, infos, agents)
 
 
 def _check_taking_part(whose: str, given: Iterable[str], agents: Sequence[str]) -> None:

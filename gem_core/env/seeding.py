@@ -32,18 +32,17 @@ def stable_hash(*parts: SupportsIndex | str | None) -> int:
     Returns:
         A whole number from 0 to 2**53 - 1.
     """
-    digest = blake2b(b"".join(map(_encode_part, parts)), digest_size=8).digest()
-    return int.from_bytes(digest, "little") % SEED_LIMIT
-
-
-def _encode_part(part: SupportsIndex | str | None) -> bytes:
-    # Each part says its kind and where it ends, so that no two lists of parts give the same bytes.
-    if part is None:
-        return b"n"
-    if isinstance(part, str):
-        text = part.encode("utf-8", "surrogatepass")
-        return b"s%d:%b" % (len(text), text)
-    return b"i%d," % operator.index(part)
+    encoded = b""
+    for part in parts:
+        # Each part says its kind and where it ends, so that no two lists of parts give the same bytes.
+        if part is None:
+            encoded += b"n"
+        elif isinstance(part, str):
+            text = part.encode("utf-8", "surrogatepass")
+            encoded += b"s%d:%b" % (len(text), text)
+        else:
+            encoded += b"i%d," % operator.index(part)
+    return int.from_bytes(blake2b(encoded, digest_size=8).digest(), "little") % SEED_LIMIT
 
 
 def next_seed(seed: int) -> int:

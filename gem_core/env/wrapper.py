@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Awaitable
 from typing import Any, cast
@@ -165,12 +166,10 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
     def _own_record(self) -> tuple[str, dict[str, Any]]:
         args, kwargs = self._init_args
         signature = signature_of(type(self))
-        names = list(signature.parameters)[1:] if signature else []
-        positional = dict(zip(names, args[1:], strict=False))
-        return f"{type(self).__module__}:{type(self).__qualname__}", {
-            **positional,
-            **{key: value for key, value in kwargs.items() if key != "env"},
-        }
+        names = list(signature.parameters) if signature else []
+        options = {**dict(zip(names, args, strict=False)), **kwargs}
+        options.pop(names[0] if names else "", None)  # the environment
+        return f"{type(self).__module__}:{type(self).__qualname__}", options
 
     def __getattr__(self, name: str) -> Any:
         # Only names that the wrapper does not have come here. Private ones are never passed on, so that copying and
@@ -191,6 +190,8 @@ def concurrency_of(env: AnyEnv) -> Concurrency:
     Raises:
         ArgumentError: It is another environment of Gymnasium, and none of GEM.
     """
+    if isinstance(env, Env | Wrapper):
+        return env.concurrency
     try:
         return cast("Concurrency", env.get_wrapper_attr("concurrency"))
     except AttributeError:
@@ -208,17 +209,15 @@ async def reset_async(env: AnyEnv, seed: int | None = None, options: dict[str, A
     if isinstance(env, Env | Wrapper):
         coroutine = env.reset_async(**reset_arguments(seed, options))
         return await (on_library_loop(coroutine) if isinstance(env, AsyncEnv) else coroutine)
-    if concurrency_of(env) == "inline":
-        return cast("ResetResult", env.reset(seed=seed, options=options))
-    return await in_thread(lambda: env.reset(seed=seed, options=options))
+    reset = functools.partial(env.reset, seed=seed, options=options)
+    return cast("ResetResult", reset() if concurrency_of(env) == "inline" else await in_thread(reset))
 
 
 async def step_async(env: AnyEnv, action: str) -> StepResult:
     """Step any environment from a coroutine without blocking its loop."""
-    if isinstance(env, AsyncEnv):
-        return await on_library_loop(env.step_async(action))
     if isinstance(env, Env | Wrapper):
-        return await env.step_async(action)
-    if concurrency_of(env) == "inline":
-        return cast("StepResult", env.step(action))
-    return cast("StepResult", await in_thread(env.step, action))
+        coroutine = env.step_async(action)
+        return await (on_library_loop(coroutine) if isinstance(env, AsyncEnv) else coroutine)
+    return cast(
+        "StepResult", env.step(action) if concurrency_of(env) == "inline" else await in_thread(env.step, action)
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import Any, Self, cast
 
 import gymnasium
 
@@ -24,9 +24,6 @@ from gem_core.registry.specs import EnvSpec
 from gem_core.wrappers.rendering import TEXT_MODES, Rendered
 from gem_core.wrappers.turn_limit import TurnLimit
 
-if TYPE_CHECKING:
-    from gymnasium.envs.registration import WrapperSpec as GymnasiumWrapperSpec
-
 Layers = tuple[tuple[str, dict[str, Any]], ...]
 """Wrappers by name or entry point, each with its options, innermost first."""
 
@@ -44,14 +41,14 @@ class MadeSpec:
         kwargs: The arguments in force.
         wrappers: What was put around the task: names or entry points with their options, innermost first; by seat,
             where several agents differ in them.
-        additional_wrappers: Wrappers of Gymnasium's, which record themselves here.
+        additional_wrappers: Wrappers of Gymnasium's, which record themselves here; they are not made again.
         max_episode_steps: Likewise, of Gymnasium's ``TimeLimit``.
     """
 
     record: EnvSpec
     kwargs: dict[str, Any]
     wrappers: Layers | Mapping[str, Layers] = ()
-    additional_wrappers: tuple[GymnasiumWrapperSpec, ...] = ()
+    additional_wrappers: tuple[Any, ...] = ()
     max_episode_steps: int | None = None
 
     @property
@@ -65,21 +62,20 @@ class MadeSpec:
         return not self.record.deterministic
 
     def make(self, wrappers: Wrappers = (), **kwargs: Any) -> AnyEnv:
-        """Make the same environment again, with some arguments changed and ``wrappers`` around it."""
-        stacks: list[Any] = [self.stack, wrappers]
-        if not any(isinstance(stack, Mapping) for stack in stacks):  # in one stack, all tools share one wrapper
-            stacks = [[*self.stack, *([wrappers] if isinstance(wrappers, str) else wrappers)]]
-        return make_from(self.record, {**self.kwargs, **kwargs}, *stacks)
+        """Make the same environment again, with some arguments changed and ``wrappers`` around it.
 
-    @property
-    def stack(self) -> Layers | Mapping[str, Layers]:
-        """All wrappers, innermost first: ours, and those of Gymnasium's that were put around them since."""
-        if isinstance(self.wrappers, Mapping):
-            return self.wrappers
-        theirs = tuple(_as_layer(wrapper) for wrapper in self.additional_wrappers)
-        if self.max_episode_steps is not None:
-            theirs += (("gymnasium.wrappers:TimeLimit", {"max_episode_steps": self.max_episode_steps}),)
-        return (*self.wrappers, *theirs)
+        Raises:
+            ArgumentError: There are wrappers of Gymnasium's around it.
+        """
+        if self.additional_wrappers or self.max_episode_steps is not None:
+            raise ArgumentError(
+                f"{self.id} has wrappers of Gymnasium's around it, which gem.make does not know; "
+                "make it from env.unwrapped.spec, and put them around it again"
+            )
+        stacks: list[Any] = [self.wrappers, wrappers]
+        if not any(isinstance(stack, Mapping) for stack in stacks):  # in one stack, all tools share one wrapper
+            stacks = [[*self.wrappers, *([wrappers] if isinstance(wrappers, str) else wrappers)]]
+        return make_from(self.record, {**self.kwargs, **kwargs}, *stacks)
 
     def wrappers_of(self, seat: str) -> Layers:
         """Return the wrappers around one seat, in an environment of several agents."""
@@ -87,8 +83,7 @@ class MadeSpec:
 
     def with_wrapper(self, name: str, options: Mapping[str, Any]) -> Self:
         """Return a copy with one more wrapper outside."""
-        wrappers = (*cast("Layers", self.stack), (name, dict(options)))
-        return dataclasses.replace(self, wrappers=wrappers, additional_wrappers=(), max_episode_steps=None)
+        return dataclasses.replace(self, wrappers=(*self.wrappers, (name, dict(options))))
 
     def recorded(self) -> dict[str, Any]:
         """Return ``id``, ``kwargs`` over the registered ones and ``wrappers``, as the record of an episode has them.
@@ -102,15 +97,6 @@ class MadeSpec:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         return dataclasses.replace(self)
-
-
-def _as_layer(wrapper: GymnasiumWrapperSpec) -> tuple[str, dict[str, Any]]:
-    if wrapper.kwargs is None:
-        raise ArgumentError(
-            f"{wrapper.name} does not record its arguments, so it cannot be made again; "
-            "derive it from gymnasium.utils.RecordConstructorArgs"
-        )
-    return wrapper.entry_point, dict(wrapper.kwargs)
 
 
 def _as_lists(layers: Any) -> Any:

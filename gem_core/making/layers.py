@@ -88,7 +88,7 @@ def layers_of(wrappers: Stack) -> list[Layer]:
         if isinstance(layer.record, ToolSpec) or _is_tool(target):
             tools = [(target, options) if isinstance(target, str | type) else target]
             options = {}
-        elif target in (_TOOLS, "gem_core.tools.env:ToolEnv") or _is_tool_env(target):
+        elif target == _TOOLS:
             tools = _named_tools(options.pop("tools", []))
         else:
             layers.append(layer)
@@ -148,11 +148,3 @@ def _is_tool(target: object) -> bool:
     from gem_core.tools.tool import Tool
 
     return isinstance(target, Tool) or (isinstance(target, type) and issubclass(target, Tool))
-
-
-def _is_tool_env(target: object) -> bool:
-    if not isinstance(target, type):
-        return False
-    from gem_core.tools.env import ToolEnv
-
-    return target is ToolEnv

@@ -8,17 +8,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, TypeVar
 
-from gem_core.errors import (
-    GemError,
-    RegistrationError,
-    UnknownAgentError,
-    UnknownBackendError,
-    UnknownEnvError,
-    UnknownNameError,
-    UnknownPluginError,
-    UnknownToolError,
-    UnknownWrapperError,
-)
+from gem_core import errors
+from gem_core.errors import GemError, RegistrationError, UnknownEnvError, UnknownNameError, UnknownPluginError
 from gem_core.registry.known_distributions import KNOWN_DISTRIBUTIONS
 from gem_core.registry.plugins import Plugin, Record, complain, load_plugins
 from gem_core.registry.specs import AgentSpec, EnvSpec, NamedSpec, ToolSpec, VectorBackendSpec
@@ -29,10 +20,10 @@ N = TypeVar("N", bound=NamedSpec)
 
 _WANTED: dict[type[Record], tuple[type[UnknownNameError], list[str]]] = {
     EnvSpec: (UnknownEnvError, ["environment"]),
-    NamedSpec: (UnknownWrapperError, ["wrapper", "tool"]),
-    ToolSpec: (UnknownToolError, ["tool"]),
-    VectorBackendSpec: (UnknownBackendError, ["vector backend"]),
-    AgentSpec: (UnknownAgentError, ["agent"]),
+    NamedSpec: (errors.UnknownWrapperError, ["wrapper", "tool"]),
+    ToolSpec: (errors.UnknownToolError, ["tool"]),
+    VectorBackendSpec: (errors.UnknownBackendError, ["vector backend"]),
+    AgentSpec: (errors.UnknownAgentError, ["agent"]),
 }
 """The error of an unknown name by the class that was looked for, and the kinds of record that would do."""
 

@@ -110,10 +110,6 @@ def load_plugins() -> list[Plugin]:
     core = Plugin(EntryPoint("core", BUILTIN, hookspecs.ENTRY_POINT_GROUP), "gem-core", __version__)
     found = sorted(find_plugins(), key=lambda plugin: (plugin.name, plugin.entry_point.value))
     disabled = {name.strip() for name in os.environ.get("GEM_PLUGINS_DISABLE", "").split(",") if name.strip()}
-    names = {name for plugin in found for name in (plugin.name, plugin.distribution)}
-    for name in sorted(disabled - names):
-        hint = did_you_mean(name, names)
-        logger.warning("gem: GEM_PLUGINS_DISABLE names %r, and no such plugin is installed.%s", name, hint)
     for plugin in found:
         plugin.disabled = not disabled.isdisjoint((plugin.name, plugin.distribution))
     for plugin in (core, *found):

@@ -20,7 +20,6 @@ CallBeginning = Literal["calls", "texts", "anything"]
 
 _ENV_ID = re.compile(r"(?P<namespace>[A-Za-z0-9][\w.-]*):(?P<name>[A-Za-z0-9][\w.-]*)", re.ASCII)
 _NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*", re.ASCII)
-_VERSION = re.compile(r"-v(\d+)(?=-|$)", re.ASCII)
 _FILE_NAME = re.compile(r"[\w.-]+", re.ASCII)
 _ENTRY_POINT = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", re.ASCII)
 
@@ -100,16 +99,9 @@ class EnvSpec:
         return self.id.partition(":")[2]
 
     @property
-    def version(self) -> int | None:
-        """The number after ``-v``, or None if the id has none."""
-        match = _VERSION.search(self.name)
-        return int(match.group(1)) if match else None
-
-    @property
     def turn_limit(self) -> int | None:
         """Turns after which an episode is over, by the task's own keyword or by ``max_turns``; None if unlimited."""
-        own = self.kwargs.get("max_turns")
-        limits = [limit for limit in (own, self.max_turns) if isinstance(limit, int)]
+        limits = [limit for limit in (self.kwargs.get("max_turns"), self.max_turns) if isinstance(limit, int)]
         return min(limits, default=None)
 
 
