@@ -7,11 +7,6 @@ from .records import Row as Row, Run as Run, open_run as open_run
 from .replaying.replay import replay as replay
 from .running.evaluation import evaluate as evaluate
 from .running.limits import Limits as Limits
-from .scores import (
-    RowScore as RowScore,
-    Score as Score,
-    compute_row_scores as compute_row_scores,
-    compute_scores as compute_scores,
-)
+from .scores import Score as Score, compute_scores as compute_scores
 from .scoring.grading import score as score
 from .suites import Model as Model, Suite as Suite, load_suite as load_suite

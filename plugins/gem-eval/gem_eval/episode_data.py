@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
 from typing import Any
 
 from gem_core import Episode
@@ -23,39 +22,35 @@ from gem_eval.turns import (
     turn_views,
 )
 
-Place = tuple[str | int, ...]
-"""Where a text stands in an episode's data, such as ``("turns", 3, "response")``."""
-
-Shorten = Callable[[str, Place], Any]
-"""Takes a text and its place, and returns what stands for it."""
+MOST_TEXT = 100_000
+"""Characters of one text that a page gets; a browser is slow with more."""
 
 
-def episode_data(episode: Record, shorten: Shorten) -> dict[str, Any]:
-    """Return what is shown of an episode as plain JSON: control characters as their codes, numbers finite.
+def episode_data(episode: Record) -> dict[str, Any]:
+    """Return what is shown of an episode as plain JSON: texts escaped and cut where they are long, numbers finite.
 
     Args:
         episode: The episode, its images as names of files.
-        shorten: Called with each text; returns it escaped, and cut where it is long.
     """
-    record: dict[str, Any] = _plain(_record(episode), (), shorten)
-    return record
-
-
-def text_at(episode: Record, place: Sequence[Any]) -> str:
-    """Return a whole text of an episode by its place.
-
-    Raises:
-        LookupError: There is none.
-    """
-    value: Any = _record(episode)
-    for step in place:
-        parts = value if isinstance(value, list) else _named(value)
-        if isinstance(parts, list) != (type(step) is int):
-            raise LookupError(step)
-        value = parts[step]
-    if not isinstance(value, str):
-        raise LookupError(place)
-    return value
+    seats = episodes_of(episode)
+    data: dict[str, Any] = _plain(
+        {
+            "id": episode.id,
+            "outcome": outcome_of(*(each.success for each in seats), failed=episode.error is not None),
+            "return": f"{sum(each.episode_return for each in seats):.4g}",
+            "returns": ", ".join(f"{each.seat}={each.agent} {each.episode_return:.4g}" for each in seats if each.seat),
+            "count": episode.turns,
+            "error": error_text(episode.error),
+            "start": {
+                **{each.seat: f"{each.agent}, {_outcome(each)}" for each in seats if each.seat},
+                **start_of(episode),
+            },
+            "observation": _observations([each for each in seats if not each.transitions], "observation"),
+            "turns": list(turn_views(episode)),
+            "final": _observations(seats, "final_observation"),
+        }
+    )
+    return data
 
 
 def image_names(data: Any) -> set[str]:
@@ -86,25 +81,6 @@ def png_of(images: ImageFolder, name: str) -> bytes:
     return buffer.getvalue()
 
 
-def _record(episode: Record) -> dict[str, Any]:
-    seats = episodes_of(episode)
-    return {
-        "id": episode.id,
-        "outcome": outcome_of(*(each.success for each in seats), failed=episode.error is not None),
-        "return": f"{sum(each.episode_return for each in seats):.4g}",
-        "returns": ", ".join(f"{each.seat}={each.agent} {each.episode_return:.4g}" for each in seats if each.seat),
-        "count": episode.turns,
-        "error": error_text(episode.error),
-        "start": {
-            **{each.seat: f"{each.agent}, {_outcome(each)}" for each in seats if each.seat},
-            **start_of(episode),
-        },
-        "observation": _observations([each for each in seats if not each.transitions], "observation"),
-        "turns": list(turn_views(episode)),
-        "final": _observations(seats, "final_observation"),
-    }
-
-
 def _observations(seats: list[Episode], name: str) -> list[Part]:
     """Return an observation of some seats, each under the name of its seat."""
     return [
@@ -114,25 +90,21 @@ def _observations(seats: list[Episode], name: str) -> list[Part]:
     ]
 
 
-def _plain(value: Any, place: Place, shorten: Shorten) -> Any:
+def _plain(value: Any) -> Any:
     if isinstance(value, str):
-        return shorten(value, place)
+        rest = len(value) - MOST_TEXT
+        return escaped(value) if rest <= 0 else f"{escaped(value[:MOST_TEXT])}\n… {rest:,} more characters"
     if isinstance(value, float):
         return value if abs(value) < 1e300 else 0.0
     if isinstance(value, list):
-        return [_plain(part, (*place, number), shorten) for number, part in enumerate(value)]
-    if isinstance(value, dict | Part | Block | TurnView):
-        parts = {_name(name): _plain(part, (*place, name), shorten) for name, part in _named(value).items()}
-        return {**parts, "rewardText": f"{value.reward:g}"} if isinstance(value, TurnView) else parts
-    return value
-
-
-def _named(value: Any) -> dict[str, Any]:
-    return value if isinstance(value, dict) else vars(value) if isinstance(value, Part | Block | TurnView) else {}
-
-
-def _name(name: object) -> str:
-    return escaped(str(name)[:1000])
+        return [_plain(part) for part in value]
+    if isinstance(value, TurnView):
+        return {**_plain(vars(value)), "rewardText": f"{value.reward:g}"}
+    if isinstance(value, Part | Block):
+        value = vars(value)
+    return (
+        {escaped(str(name)[:1000]): _plain(part) for name, part in value.items()} if isinstance(value, dict) else value
+    )
 
 
 def _outcome(episode: Episode) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -109,45 +108,6 @@ def compute_scores(episodes: Iterable[Row]) -> list[Score]:
         together: list[tuple[Metric, list[Row]]] = [("success", telling), ("return", own)]
         scores += [_score("all", model, metric, rows) for metric, rows in together if len({row.id for row in rows}) > 1]
     return scores
-
-
-@dataclass(frozen=True)
-class RowScore:
-    """How one model did at one row, over its epochs; episodes with an error are left out.
-
-    Args:
-        id: The environment.
-        model: Name of the agent.
-        row: Identity of the row.
-        epochs: Number of episodes.
-        solved: Number of those that solved the task; None where it does not tell.
-        mean: Mean return.
-        spread: Standard deviation of the returns, with n - 1; None for fewer than two episodes.
-    """
-
-    id: str
-    model: str
-    row: str
-    epochs: int
-    solved: int | None
-    mean: float
-    spread: float | None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as plain JSON."""
-        return dict(vars(self))
-
-
-def compute_row_scores(episodes: Iterable[Row]) -> list[RowScore]:
-    """Compute how each model did at each row, in order of first appearance."""
-    counted = (episode for episode in episodes if episode.error is None)
-    found = []
-    for key, each in grouped(counted, lambda row: (row.id, row.model, row.row)).items():
-        returns = [episode.episode_return for episode in each]
-        told = [episode.success for episode in each if episode.success is not None]
-        spread = statistics.stdev(returns) if len(returns) > 1 else None
-        found.append(RowScore(*key, len(each), sum(told) if told else None, statistics.fmean(returns), spread))
-    return found
 
 
 def tells_success(played: Sequence[Row] | Sequence[Episode]) -> bool:

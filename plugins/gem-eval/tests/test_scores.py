@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gem_core import Episode, Response
 from gem_core.records import RunSummary, Transition
 from gem_eval.records import Row
-from gem_eval.scores import Score, compute_row_scores, compute_scores
+from gem_eval.scores import Score, compute_scores
 from gem_eval.statistics import mean, pass_at, pass_hat, rate
 
 if TYPE_CHECKING:
@@ -82,14 +82,6 @@ def test_episodes_without_a_value_leave_a_row_of_counts() -> None:
     assert (score.metric, score.mean, score.episodes, score.rows, score.errors) == ("return", None, 0, 0, 1)
     (score,) = compute_scores([Played("a", None, float("inf")), Played("b", None, 2.0), Played("c", None, 3.0)])
     assert (score.mean, score.rows, score.episodes) == (2.5, 2, 3)
-
-
-def test_a_row_has_its_solved_epochs_and_the_spread_of_its_returns() -> None:
-    """Without errors; a task that does not tell has no number of solved epochs."""
-    played = [Played("a", True, 1.0), Played("a", False, 3.0), Played("a", None, error="boom"), Played("b", None, 2.0)]
-    first, second = compute_row_scores(played)
-    assert (first.epochs, first.solved, first.mean, first.spread) == (2, 1, 2.0, pytest.approx(2**0.5))
-    assert (second.epochs, second.solved, second.spread) == (1, None, None)
 
 
 def test_pass_at_goes_by_powers_of_two_to_the_number_of_epochs() -> None:

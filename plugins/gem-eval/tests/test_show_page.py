@@ -20,7 +20,8 @@ from gem_core import Episode, write_episodes
 from gem_core.cli import main
 from gem_core.errors import ArgumentError
 from gem_core.records import ImageFolder
-from gem_eval.show.page import MOST_TEXT, PageWriter
+from gem_eval.episode_data import MOST_TEXT
+from gem_eval.show.page import PageWriter
 from gem_eval.show.text import escaped
 
 ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=60)

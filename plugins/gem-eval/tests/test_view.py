@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 import uvicorn
 from PIL import Image
-from recorded import HOSTILE, broken, duel, failed, hostile, maze, turn
+from recorded import HOSTILE, broken, duel, failed, hostile, maze
 from starlette.testclient import TestClient
 
 from gem_core import Episode, write_episodes
@@ -26,7 +26,7 @@ from gem_core.cli import main
 from gem_core.errors import ArgumentError
 from gem_eval.records import RunWriter
 from gem_eval.show.text import escaped
-from gem_eval.viewing.app import MOST_TEXT, make_app
+from gem_eval.viewing.app import make_app
 from gem_eval.viewing.library import Library
 
 
@@ -133,20 +133,6 @@ def test_an_episode_is_sent_as_data(client: TestClient) -> None:
     joint = client.get("/api/episode?run=second.jsonl&number=2").json()
     assert [turn["seat"] for turn in joint["turns"]][:2] == ["white (openai:tiny)", "black (random)"]
     assert client.get("/api/episode?run=first&number=99").status_code == 400
-
-
-def test_a_long_text_is_cut_and_can_be_had_whole(tmp_path: Path) -> None:
-    """By its place in the episode, whatever its name there is."""
-    text = "long \x1b " * MOST_TEXT
-    write_run(tmp_path / "run", [Episode("a:B", 1, "", {}, [turn("", text, **{"a.b": text})])])
-    client = TestClient(make_app(library_of(tmp_path / "run")), base_url="http://127.0.0.1")
-    (shown,) = client.get("/api/episode?run=run&number=1").json()["turns"]
-    for cut in (shown["blocks"][1]["parts"][0]["text"], shown["info"]["a.b"]):
-        assert (cut["text"], cut["length"]) == (escaped(text[:MOST_TEXT]), len(text))
-        parameters = {"run": "run", "number": 1, "place": json.dumps(cut["place"])}
-        assert client.get("/api/text", params=parameters).json() == escaped(text)
-    for place in ("", "[", '["turns"]', '["turns", 7]', '["turns", "0"]', '["__class__"]', "[" * 5000):
-        assert client.get("/api/text", params={**parameters, "place": place}).status_code == 400
 
 
 def test_images_come_from_the_folder_of_the_run_alone(client: TestClient, runs: Path) -> None:

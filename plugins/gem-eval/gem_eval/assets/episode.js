@@ -36,8 +36,6 @@ const transcripts = (() => {
     return element;
   }
 
-  // A text is a string or, where the server has cut it, {text, length, place}.
-  const textOf = (value) => (typeof value === "string" ? value : value.text);
   const count = (number, noun) => `${number.toLocaleString("en")} ${noun}${number === 1 ? "" : "s"}`;
 
   function svgElement(tag, attributes) {
@@ -75,38 +73,24 @@ const transcripts = (() => {
     return svg;
   }
 
-  // Options: wanted (text to mark, in lower case), imageSource (name => URL or null), loadText (place => promise of a
-  // text) where cut texts can be had whole.
+  // Options: wanted (text to mark, in lower case), imageSource (name => URL or null).
   function drawer(options) {
-    const { wanted, imageSource, loadText } = options;
+    const { wanted, imageSource } = options;
     const holds = (text) => Boolean(wanted) && text.toLowerCase().includes(wanted);
 
-    function longText(value, className) {
-      const text = textOf(value);
-      const rest = value.length - BEGINNING;
+    function longText(text, className) {
       const pre = make("pre", className);
-      if (value.length <= LONG) return textInto(pre, text, wanted);
+      if (text.length <= LONG) return textInto(pre, text, wanted);
       const element = make("div");
       element.append(pre);
-      const note = `… ${count(rest, "more character")}`;
-      const whole = typeof value === "string";
-      if (holds(text.slice(BEGINNING - wanted.length))) textInto(pre, text, wanted);
-      else textInto(pre, text.slice(0, BEGINNING), wanted);
-      if (whole && pre.textContent.length === text.length) return element;
-      if (!whole && !loadText) { element.append(make("pre", "dim", note)); return element; }
-      const button = make("button", "all", `Show all ${count(value.length, "character")}`);
+      if (holds(text.slice(BEGINNING - wanted.length))) { textInto(pre, text, wanted); return element; }
+      textInto(pre, text.slice(0, BEGINNING), wanted);
+      const button = make("button", "all", `Show all ${count(text.length, "character")}`);
       button.type = "button";
-      button.addEventListener("click", async () => {
-        button.disabled = true;
-        try {
-          const all = whole ? text : await loadText(value.place);
-          pre.replaceChildren();
-          textInto(pre, all, wanted);
-          button.remove();
-        } catch (error) {
-          button.disabled = false;
-          button.textContent = `${error.message}. Try again`;
-        }
+      button.addEventListener("click", () => {
+        pre.replaceChildren();
+        textInto(pre, text, wanted);
+        button.remove();
       });
       element.append(button);
       return element;
@@ -120,16 +104,16 @@ const transcripts = (() => {
     }
 
     function part(each, className) {
-      const source = each.kind === "image" ? imageSource(textOf(each.text)) : null;
+      const source = each.kind === "image" ? imageSource(each.text) : null;
       if (source === null) {
-        if (each.kind === "image") return textInto(make("pre", "dim"), `[image ${textOf(each.text)}]`, wanted);
+        if (each.kind === "image") return textInto(make("pre", "dim"), `[image ${each.text}]`, wanted);
         return longText(each.text, each.kind === "role" ? "role" : each.kind === "text" ? className : "dim");
       }
       const image = make("img");
       image.addEventListener("load", () => { if (image.naturalWidth < 128) image.className = "small"; });
-      image.addEventListener("error", () => image.replaceWith(make("pre", "dim", `[image ${textOf(each.text)}: it cannot be shown]`)));
+      image.addEventListener("error", () => image.replaceWith(make("pre", "dim", `[image ${each.text}: it cannot be shown]`)));
       image.src = source;
-      image.alt = `image ${textOf(each.text).slice(0, 12)}`;
+      image.alt = `image ${each.text.slice(0, 12)}`;
       return image;
     }
 
@@ -138,7 +122,7 @@ const transcripts = (() => {
       if (repeated.length) {
         const length = repeated.reduce((sum, each) => sum + each.text.length, 0);
         const summary = `${count(length, "character")} as in the turn before`;
-        block.append(folded(summary, "", repeated.map((each) => part(each, "dim")), repeated.some((each) => holds(textOf(each.text)))));
+        block.append(folded(summary, "", repeated.map((each) => part(each, "dim")), repeated.some((each) => holds(each.text))));
       }
       all.filter((each) => !each.repeated).forEach((each) => block.append(part(each, "")));
       return block;
@@ -147,36 +131,33 @@ const transcripts = (() => {
     function block(label, className, aside) {
       const element = make("div", `block ${className}`);
       const head = make("div", "label", label);
-      if (aside) head.append(textInto(make("span"), textOf(aside), wanted));
+      if (aside) head.append(textInto(make("span"), aside, wanted));
       element.append(head);
       return element;
     }
 
     function textBlock(label, value, className, aside) {
       const element = block(label, className, aside);
-      element.append(textOf(value) ? longText(value, "") : make("pre", "dim", "(empty)"));
+      element.append(value ? longText(value, "") : make("pre", "dim", "(empty)"));
       return element;
     }
 
     function thinking(value) {
-      return folded(`Thinking, ${count(value.length, "character")}`, "thinking", [longText(value, "")], holds(textOf(value)));
+      return folded(`Thinking, ${count(value.length, "character")}`, "thinking", [longText(value, "")], holds(value));
     }
 
-    function response(value, aside) {
-      const text = textOf(value);
+    function response(text, aside) {
       const end = text.indexOf("</think>");
-      if (end < 0) return textBlock("Response", value, "said", aside);
+      if (end < 0) return textBlock("Response", text, "said", aside);
       const element = block("Response", "said", aside);
       element.append(thinking(text.slice(0, end).replace(/^\s*<think>/, "").trim()));
       const rest = text.slice(end + "</think>".length).trim();
-      // Of a text that the server has cut, the whole is one click away.
-      if (typeof value !== "string") element.append(longText(value, ""));
-      else element.append(rest ? longText(rest, "") : make("pre", "dim", "(nothing after the thinking)"));
+      element.append(rest ? longText(rest, "") : make("pre", "dim", "(nothing after the thinking)"));
       return element;
     }
 
     function toolCall(call) {
-      const found = typeof call === "string" ? /^([\w.:-]{1,100})\((\{[^]*\})\)$/.exec(call) : null;
+      const found = /^([\w.:-]{1,100})\((\{[^]*\})\)$/.exec(call);
       let values = null;
       try { values = found && JSON.parse(found[2]); } catch { values = null; }
       if (!values) return textBlock("Tool call", call, "said call");
@@ -194,7 +175,7 @@ const transcripts = (() => {
       const list = make("dl", "facts");
       for (const name of Object.keys(values)) {
         const value = make("dd");
-        if (values[name].length <= LONG) textInto(value, textOf(values[name]), wanted);
+        if (values[name].length <= LONG) textInto(value, values[name], wanted);
         else value.append(longText(values[name], ""));
         list.append(make("dt", "", name), value);
       }
@@ -204,8 +185,8 @@ const transcripts = (() => {
     function turnCard(turn, turns) {
       const card = make("section", "turn");
       const head = make("header");
-      head.append(make("h3", "", `Turn ${turn.number} of ${turns}${turn.seat ? ` · ${textOf(turn.seat)}` : ""}`));
-      turn.flags.forEach((flag) => head.append(make("span", "flag", textOf(flag))));
+      head.append(make("h3", "", `Turn ${turn.number} of ${turns}${turn.seat ? ` · ${turn.seat}` : ""}`));
+      turn.flags.forEach((flag) => head.append(make("span", "flag", flag)));
       const sign = turn.reward > 0 ? " success" : turn.reward < 0 ? " failure" : "";
       head.append(make("span", `reward${sign}`, `reward ${turn.rewardText}`));
       card.append(head, ...[...turn.blocks, ...turn.answer].map(blockElement));
@@ -239,7 +220,7 @@ const transcripts = (() => {
   }
 
   function figures(episode) {
-    return `${textOf(episode.returns) || `return ${textOf(episode.return)}`} · ${count(episode.count, "turn")}`;
+    return `${episode.returns || `return ${episode.return}`} · ${count(episode.count, "turn")}`;
   }
 
   // Draws an episode into an element; returns what goes to a turn. What is long is drawn piece by piece.
@@ -248,7 +229,7 @@ const transcripts = (() => {
     let at = -1;
     let drawn = 0;
     const head = make("div", "head");
-    head.append(make("h2", "", `${episode.number} · ${textOf(episode.id)}`));
+    head.append(make("h2", "", `${episode.number} · ${episode.id}`));
     const line = make("div");
     line.append(make("span", `outcome ${episode.outcome}`, episode.outcome), make("span", "figures", ` · ${figures(episode)}`));
     head.append(line);
@@ -261,7 +242,7 @@ const transcripts = (() => {
     function drawMore(upTo) {
       for (; drawn < Math.min(upTo, episode.turns.length); drawn += 1) article.append(turnCard(episode.turns[drawn], episode.count));
       if (drawn === episode.turns.length) {
-        article.append(lastCard("Final observation", episode.final, textOf(episode.error) ? episode.error : ""));
+        article.append(lastCard("Final observation", episode.final, episode.error ? episode.error : ""));
         drawn = Infinity;
       }
     }
@@ -290,5 +271,5 @@ const transcripts = (() => {
     return { goToTurn, nextTurn: (by) => goToTurn(at + by), turn: () => at, drawAll: () => drawMore(Infinity) };
   }
 
-  return { make, textInto, textOf, bars, figures, draw, count };
+  return { make, textInto, bars, figures, draw, count };
 })();

@@ -1,6 +1,6 @@
 "use strict";
 (() => {
-  const { make, draw, textOf, count } = transcripts;
+  const { make, draw, count } = transcripts;
   const $ = (id) => document.getElementById(id);
   const NUMBERS = ["return", "turns", "seconds", "tokens", "cost"];
   const LISTS = ["run", "outcome"];
@@ -479,7 +479,6 @@
       pane.drawn = draw(article, pane.data, {
         wanted,
         imageSource: (image) => (/^[0-9a-f]{64}\.(png|tiff)$/.test(image) ? `/api/image?${new URLSearchParams({ run: pane.data.run, name: image })}` : null),
-        loadText: async (place) => getJson("text", episodeParameters(key, { place: JSON.stringify(place) })),
       });
       const head = article.querySelector(".head h2");
       head.after(make("div", "figures", [pane.data.run, pane.data.model, pane.data.row, seconds(pane.data.seconds), pane.data.cost === null ? "" : money(pane.data.cost)].filter(Boolean).join(" · ")));

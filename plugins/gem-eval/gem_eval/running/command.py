@@ -37,7 +37,17 @@ def _suites_and_ids(ctx: click.Context, incomplete: str) -> list[tuple[str, str]
     return [*((name, "suite") for name in builtin_suites() if name.startswith(incomplete)), *env_ids(ctx, incomplete)]
 
 
-_OF_SESSION = ("error_threshold", "step_timeout", "backend", "prices", "cache", "out", "new", "go_on_anyway")
+_OF_SESSION = (
+    "error_threshold",
+    "retry_errors",
+    "step_timeout",
+    "backend",
+    "prices",
+    "cache",
+    "out",
+    "new",
+    "go_on_anyway",
+)
 """Options that the session takes under the same names."""
 
 
@@ -116,13 +126,7 @@ wrong argument, 130 after Ctrl-C.
 @click.option("--run-cost", type=click.FloatRange(min=0, min_open=True), help="Most US dollars of the run.")
 @click.option("--prices", metavar="FILE", help="What tokens cost, in place of the built-in list.")
 @click.option("--cache", metavar="FOLDER", help="Reuse answers to the same requests from earlier runs.")
-@click.option(
-    "--retry-errors",
-    is_flag=False,
-    flag_value="all",
-    metavar="[CAUSES]",
-    help="Play episodes with an error again: all, or those of some causes, as rate_limit,timeout.",
-)
+@click.option("--retry-errors", is_flag=True, help="Play episodes with an error again.")
 @click.option(
     "--error-threshold",
     type=click.FloatRange(min=0, max=1),
@@ -145,7 +149,6 @@ def command(
     targets: tuple[str, ...],
     list_suites: bool,
     models: tuple[str, ...],
-    retry_errors: str | None,
     num_envs: int | None,
     as_json: bool,
     **options: Any,
@@ -172,7 +175,6 @@ def command(
         _suite(targets, options),
         [*models],
         limits=limits,
-        retry_errors=_causes(retry_errors),
         max_concurrency=num_envs,
         command=shlex.join(without_secrets(shlex.split(typed_command(ctx)))),
         **settings,
@@ -266,12 +268,6 @@ def _roles(given_roles: tuple[str, ...]) -> dict[str, str]:
             raise ArgumentError(f"--role takes ROLE=AGENT, as user=openai:gpt-5-mini, not {each!r}")
         roles[role] = agent
     return roles
-
-
-def _causes(given_causes: str | None) -> list[str] | bool:
-    if given_causes is None or given_causes == "all":
-        return given_causes == "all"
-    return [cause.strip() for cause in given_causes.split(",")]
 
 
 def _list_suites(as_json: bool) -> None:

@@ -24,7 +24,7 @@ from gem_eval.running.planning import Evaluation, digest, plan_evaluation
 from gem_eval.running.prices import load_prices
 from gem_eval.running.provenance import code_of_agent, code_of_env, host, versions
 from gem_eval.running.times import times
-from gem_eval.scores import Score, compute_row_scores, compute_scores
+from gem_eval.scores import Score, compute_scores
 from gem_eval.settings import asked_differently, asked_of, code_in
 from gem_eval.suites import Model, Suite, SuiteChanges, changed_suite, combined_suite
 
@@ -47,7 +47,7 @@ class EvaluationOptions(SuiteChanges, total=False):
     limits: Limits | None
     prices: str | Path | None
     cache: str | Path | None
-    retry_errors: Sequence[str] | bool
+    retry_errors: bool
     error_threshold: float
     max_concurrency: int | None
     step_timeout: float | None
@@ -72,7 +72,7 @@ def evaluate(
         limits: What an episode and the run may take.
         prices: File of prices; None for the one that comes with the plugin.
         cache: Folder with responses of earlier runs, which are taken where a request is the same; None for none.
-        retry_errors: Play episodes again that ended in an error: all, or those of some causes, as ``["rate_limit"]``.
+        retry_errors: Play episodes again that ended in an error.
         error_threshold: Share of episodes with an error, after twenty episodes, above which the run is stopped.
         max_concurrency: Episodes at once, of all models and tasks together; None for as many requests as a model may
             be asked at once.
@@ -150,11 +150,8 @@ class EvaluationSession:
         return self._scores
 
     def metrics(self) -> dict[str, Any]:
-        """Return the scores and times so far as plain JSON, with the scores of each row if there are several epochs."""
-        metrics = {"scores": [score.to_dict() for score in self.scores()], "times": times(self.rows())}
-        if self.plan.epochs > 1:
-            metrics["rows"] = [score.to_dict() for score in compute_row_scores(self.rows())]
-        return metrics
+        """Return the scores and times so far as plain JSON."""
+        return {"scores": [score.to_dict() for score in self.scores()], "times": times(self.rows())}
 
     def already_done(self) -> int:
         """Return how many episodes are there and stay."""
@@ -261,9 +258,7 @@ class EvaluationSession:
         """Tell whether an episode that is there is not played again."""
         if row.cut_off in RUN_LIMITS:
             return False
-        if row.error is None or not self._retry:
-            return True
-        return self._retry is not True and row.cause not in self._retry
+        return row.error is None or not self._retry
 
     def _place(self, key: str) -> int:
         try:

@@ -18,9 +18,6 @@ from gem_eval.episode_data import episode_data, image_names, png_of
 from gem_eval.files import write_page
 from gem_eval.show.text import escaped
 
-MOST_TEXT = 100_000
-"""Characters of one text that go into the page; a browser is slow with more."""
-
 MOST_IMAGE_BYTES = 64_000_000
 """Bytes of all images that go into the page."""
 
@@ -45,7 +42,7 @@ class PageWriter:
 
     def add(self, number: int, episode: Record) -> None:
         """Add an episode under its number."""
-        data = episode_data(episode, _cut)
+        data = episode_data(episode)
         for name in sorted(image_names(data) - self._image_data.keys()):
             self._image_data[name] = self._read_image(name)
         self._episodes.append({"number": number, **data})
@@ -82,11 +79,6 @@ class PageWriter:
             return None
         self._image_bytes_left -= len(content)
         return f"data:image/png;base64,{base64.b64encode(content).decode('ascii')}"
-
-
-def _cut(text: str, _: object) -> str:
-    left_out = len(text) - MOST_TEXT
-    return escaped(text) if left_out <= 0 else f"{escaped(text[:MOST_TEXT])}\n… {left_out:,} more characters"
 
 
 def inert_json(value: Any) -> str:

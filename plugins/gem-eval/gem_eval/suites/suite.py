@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypedDict
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from gem_core.errors import ArgumentError
 from gem_core.suggestions import did_you_mean
@@ -28,8 +28,7 @@ def _choice(given: Any) -> Any:
     return given
 
 
-_NAME_OR_OPTIONS = {"anyOf": [{"type": "string"}, {"type": "object", "minProperties": 1, "maxProperties": 1}]}
-Choice = Annotated[tuple[str, dict[str, Any]], BeforeValidator(_choice), WithJsonSchema(_NAME_OR_OPTIONS)]
+Choice = Annotated[tuple[str, dict[str, Any]], BeforeValidator(_choice)]
 
 
 Name = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f]+$", max_length=200)]
@@ -295,11 +294,3 @@ def _hint(error: Any) -> str:
     inside = error["loc"][:-1]
     form: type[BaseModel] = {0: Suite}.get(len(inside), SuiteTask)
     return did_you_mean(str(error["loc"][-1]), list(form.model_fields))
-
-
-def suite_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a suite's file, for editors; it comes along as ``suite.schema.json``."""
-    schema = Suite.model_json_schema(mode="validation")
-    model = schema["properties"]["models"]["items"]
-    schema["properties"]["models"]["items"] = {"anyOf": [{"type": "string"}, model]}
-    return schema

@@ -15,7 +15,7 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from gem_core.errors import ArgumentError, EpisodeFileError, GemError
-from gem_eval.episode_data import episode_data, png_of, text_at
+from gem_eval.episode_data import episode_data, png_of
 from gem_eval.show.text import escaped
 from gem_eval.turns import outcome_of_row
 from gem_eval.viewing.search import search
@@ -26,12 +26,6 @@ if TYPE_CHECKING:
 
     from gem_eval.records import Row
     from gem_eval.viewing.library import Library, ViewedRun
-
-MOST_TEXT = 20_000
-"""Characters of one text that are sent with an episode; the whole is sent when it is asked for."""
-
-MOST_WHOLE_TEXT = 5_000_000
-"""Characters of one text that are sent at all; a browser is slow with more."""
 
 MOST_ROWS = 500
 """Rows of the table that are sent at once."""
@@ -71,7 +65,6 @@ def make_app(library: Library, is_stopping: Callable[[], bool] = lambda: False) 
         Route("/api/runs", pages.runs),
         Route("/api/rows", pages.rows),
         Route("/api/episode", pages.episode),
-        Route("/api/text", pages.text),
         Route("/api/image", pages.image),
         Route("/api/search", pages.search),
         Route("/api/events", pages.events),
@@ -113,7 +106,7 @@ class _Pages:
 
     def episode(self, request: Request) -> Response:
         viewed, row = self._row_of(request)
-        data = episode_data(viewed.run.record(row), _shorten)
+        data = episode_data(viewed.run.record(row))
         place = {
             "run": escaped(viewed.name),
             "number": row.number,
@@ -122,17 +115,6 @@ class _Pages:
         }
         own = {"epoch": row.epoch, "seconds": row.seconds, "cost": row.cost, "outcome": outcome_of_row(row)}
         return _json({**data, **place, **own})
-
-    def text(self, request: Request) -> Response:
-        viewed, row = self._row_of(request)
-        try:
-            place = json.loads(request.query_params.get("place", ""))
-            text = text_at(viewed.run.record(row), place if isinstance(place, list) else [])
-        except (ValueError, RecursionError, LookupError) as error:
-            raise ArgumentError("there is no such text in the episode") from error
-        rest = len(text) - MOST_WHOLE_TEXT
-        note = f"\n… {rest:,} more characters; 'gem show' prints them" if rest > 0 else ""
-        return _json(escaped(text[:MOST_WHOLE_TEXT]) + note)
 
     def image(self, request: Request) -> Response:
         run = self._library.run(request.query_params.get("run", "")).run
@@ -194,12 +176,6 @@ def _number(request: Request, name: str, default: int) -> int:
     if not (text.isascii() and text.isdigit() and len(text) < 16):
         raise ArgumentError(f"{name} is {text!r:.100}, and should be a number")
     return int(text)
-
-
-def _shorten(text: str, place: tuple[str | int, ...]) -> Any:
-    if len(text) <= MOST_TEXT:
-        return escaped(text)
-    return {"text": escaped(text[:MOST_TEXT]), "length": len(text), "place": place}
 
 
 def _asset(name: str, media_type: str) -> Callable[[Request], Response]:
