@@ -34,11 +34,6 @@ LINES = st.one_of(
 )
 
 
-def opened(path: Path) -> Run:
-    """A file of which nothing is read yet."""
-    return Run(path, read=False, joint=True)
-
-
 def figures(episode: Episode | Row) -> tuple[object, ...]:
     """What a row says of an episode."""
     return (episode.id, episode.success, episode.episode_return, episode.turns, episode.group)
@@ -48,7 +43,7 @@ def test_a_row_says_what_the_episode_says(tmp_path: Path) -> None:
     """Every figure of the list, for success, failure and error."""
     path = tmp_path / "run.jsonl"
     write_episodes(path, [maze(), failed(), broken()])
-    assert [(*figures(row), row.error, row.seed) for row in opened(path).read_all()] == [
+    assert [(*figures(row), row.error, row.seed) for row in Run(path, joint=True).rows] == [
         ("maze:Room-v0", True, 0.75, 3, "g1", None, 7),
         ("maze:Room-v0", False, 0.25, 2, "g1", None, 7),
         ("chat:Talk-v0", None, 0.0, 1, None, "timeout: no answer in 5 s", 3),
@@ -63,17 +58,18 @@ def test_any_file_has_the_rows_of_its_lines(
     """What read_episodes yields is listed under its line, read at once or in pieces."""
     path = tmp_path_factory.mktemp("any") / "run.jsonl"
     path.write_bytes(b"\n".join(lines) + (b"\n" if ends else b""))
-    run = opened(path)
+    run = Run(path, read=False, joint=True)
     run.refresh(first)
-    found = list(run.read_all())
-    assert found == list(opened(path).read_all()) == run.rows
+    run.refresh(torn=True)
+    found = run.rows
+    assert found == Run(path, joint=True).rows
     assert {*(row.number for row in found), *run.damage} == {
         number for number, line in enumerate(lines, start=1) if line.strip()
     }
     readable = []
     for row in found:
         assert run.line_bytes(row).rstrip(b"\n") == lines[row.number - 1]
-        assert opened(path).row(row.number) == row
+        assert run.row(row.number) == row
         assert figures(run.record(row)) == figures(row)
         readable.append(figures(row))
     with warnings.catch_warnings():
@@ -81,18 +77,15 @@ def test_any_file_has_the_rows_of_its_lines(
         assert readable == [figures(episode) for episode in read_episodes(path) if isinstance(episode.final_info, dict)]
 
 
-def test_one_episode_needs_no_other(tmp_path: Path) -> None:
-    """A line is found by counting line ends; blank lines count."""
+def test_an_episode_has_the_number_of_its_line(tmp_path: Path) -> None:
+    """Blank lines count; a damaged one is told by its damage."""
     path = tmp_path / "run.jsonl"
-    path.write_bytes(b"\n" + GOOD + b"\n\n" + GOOD)
-    run = opened(path)
+    path.write_bytes(b"\n" + GOOD + b"\n{}\n" + GOOD)
+    run = Run(path)
     assert [run.row(number).number for number in (2, 4)] == [2, 4]
-    assert (run.rows, run.share_read) == ([], 0)
-    blank = ": that line is blank"
-    for number, reason in ((1, blank), (3, blank), (5, ", which has 4 lines"), (99, ", which has 4 lines")):
-        with pytest.raises(ArgumentError) as caught:
+    for number, error in ((1, ArgumentError), (3, EpisodeFileError), (5, ArgumentError)):
+        with pytest.raises(error):
             run.row(number)
-        assert str(caught.value) == f"no episode {number} in {path}{reason}. Run 'gem show {path}'"
 
 
 def test_what_can_be_read_but_once_is_refused() -> None:

@@ -26,9 +26,6 @@ RUN_FILE, EPISODES_FILE, INDEX_FILE, METRICS_FILE, IMAGES = (
 
 _Read = TypeVar("_Read")
 
-_Line = tuple[int, int, bytes]
-"""A line of a file: its number, where it begins, and what it says."""
-
 
 class Run:
     """A run that was recorded, or is being recorded: its rows are in memory, its episodes are read one by one.
@@ -47,13 +44,12 @@ class Run:
         self.path = Path(path)
         self.is_folder = self.path.is_dir()
         self._episodes = self.path / EPISODES_FILE if self.is_folder else self.path
-        self._source = self.path / INDEX_FILE if self.is_folder else self.path
-        """The file whose lines have the rows."""
+        self._index = self.path / INDEX_FILE
+        self._source = self._index if self.is_folder else self.path
+        """The file that rows are read from: without an index, that of the episodes."""
         self._joint = joint
         self._read = 0
-        """Bytes of the index, or of the file of episodes, that have been read."""
-        self._read_frames = 0
-        """Bytes of the frames that have been read, where the index is gone."""
+        """Bytes of the index, or of the file of episodes or frames, that have been read."""
         self._lines = 0
         self._latest: dict[object, Row] = {}
         self.superseded: list[Row] = []
@@ -69,7 +65,7 @@ class Run:
             hint = f"; name one of the runs in it, as {inside[-1].parent}" if inside else ""
             raise ArgumentError(f"{path} is no run: there is no {RUN_FILE} in it{hint}")
         if read:
-            self.refresh()
+            self.refresh(torn=not self.is_folder)
 
     @property
     def name(self) -> str:
@@ -103,44 +99,64 @@ class Run:
             return min(1.0, self._read / (self._source.stat().st_size or 1))
         return 1.0
 
-    def refresh(self, most: int | None = None) -> list[Row]:
+    def refresh(self, most: int | None = None, *, torn: bool = False) -> list[Row]:
         """Read what was written since; return the new rows.
 
         A file that has become shorter is another run's, and is read from its beginning.
 
         Args:
             most: Read so many lines and stop; the next call goes on. None reads all.
+            torn: Whether a last line without its end, which may still be written to, is read as well.
 
         Raises:
             EpisodeFileError: The run cannot be read.
         """
-        if self._read and (not self._source.exists() or self._source.stat().st_size < self._read):
+        is_index = self.is_folder and self._index.exists()
+        source = self._index if is_index else self._episodes
+        if self._read and (source != self._source or not source.exists() or source.stat().st_size < self._read):
             self._latest.clear()
             self.superseded.clear()
             self.damage.clear()
-            self._read = self._read_frames = self._lines = 0
-        lines = itertools.islice(self._new_lines(), most)
-        if not self.is_folder:
-            return list(self._file_rows(lines))
-        found = list(self._index_rows(lines) if self._source.exists() else self._frame_rows())
-        for row in found:
-            earlier = self._latest.get((row.key, row.epoch), row)
+            self._read = self._lines = 0
+        self._source = source
+        found = []
+        for number, offset, content in itertools.islice(self._new_lines(torn), most):
+            try:
+                row = Row.from_line(content) if is_index else Row.of(unpack(content), number, offset, len(content))
+            except EpisodeFileError as error:
+                is_cut = not self.is_folder and not content.endswith(b"\n")
+                note = ". The line is cut off: the writer was interrupted, or is still at it" if is_cut else ""
+                self.damage[number] = f"{error}{note}"
+                continue
+            found.append(row)
+            # In a file, several runs may have been appended, and their keys are the same.
+            key = (row.key, row.epoch) if self.is_folder else number
+            earlier = self._latest.get(key, row)
             if earlier != row:
                 self.superseded.append(earlier)
-            self._latest[row.key, row.epoch] = row
+            self._latest[key] = row
         return found
 
-    def read_all(self) -> Iterator[Row]:
-        """Yield the rows, those of a file as they are found, also that of a last line without its end.
-
-        Raises:
-            EpisodeFileError: The run cannot be read.
-        """
-        if self.is_folder:
-            self.refresh()
-        yield from self.rows
-        if not self.is_folder:
-            yield from self._file_rows(self._new_lines(torn=True))
+    def _new_lines(self, torn: bool) -> Iterator[tuple[int, int, bytes]]:
+        """Yield what has been added, each with its number and where it begins: lines, or frames without an index."""
+        try:
+            with self._source.open("rb") as file:
+                if self.is_folder and self._source == self._episodes:
+                    for offset, frame in frames(file, self._read):
+                        self._lines, self._read = self._lines + 1, offset + len(frame)
+                        yield self._lines, offset, frame
+                    return
+                file.seek(self._read)
+                for line in file:
+                    if line.endswith(b"\n") or torn:
+                        offset = self._read
+                        self._lines, self._read = self._lines + 1, offset + len(line)
+                        if line.strip():
+                            yield self._lines, offset, line
+        except FileNotFoundError:
+            return  # no episode has ended
+        except OSError as error:
+            raise EpisodeFileError(f"cannot read {self._source}: {error.strerror or error}") from error
 
     def line(self, row: Row) -> Any:
         """Return the record of an episode as it was written, with what stands under ``"evaluation"``.
@@ -211,7 +227,7 @@ class Run:
                 yield row, found
 
     def row(self, number: int) -> Row:
-        """Return the row of an episode by its number; in a file without the rows of the lines before it.
+        """Return the row of an episode by its number.
 
         Raises:
             ArgumentError: There is none.
@@ -220,100 +236,15 @@ class Run:
         for row in self.rows:
             if row.number == number:
                 return row
-        has = f", which has {len(self._latest):,}"
-        if not self.is_folder:
-            lines = 0
-            for lines, offset, line in _lines(self._source, 0, 0, torn=True):
-                if lines == number and line.strip():
-                    try:
-                        return self._row(number, offset, line)
-                    except EpisodeFileError as error:
-                        place = f"{self.path}, line {number}"
-                        raise EpisodeFileError(f"{place} holds no whole episode: {error}") from error
-            has = f", which has {lines:,} lines" if number > lines else ": that line is blank"
-        raise ArgumentError(f"no episode {number} in {self.path}{has}. Run 'gem show {self.path}'")
+        if number in self.damage:
+            raise EpisodeFileError(f"{self.path}, line {number} holds no whole episode: {self.damage[number]}")
+        has = f"which has {len(self._latest):,} episodes"
+        raise ArgumentError(f"no episode {number} in {self.path}, {has}. Run 'gem show {self.path}'")
 
     @property
     def images(self) -> ImageFolder:
         """Folder of the images."""
         return ImageFolder(self.path / IMAGES) if self.is_folder else ImageFolder.beside(self.path)
-
-    def _index_rows(self, lines: Iterator[_Line]) -> Iterator[Row]:
-        for number, _, line in lines:
-            try:
-                yield Row.from_line(line)
-            except EpisodeFileError as error:
-                self.damage[number] = str(error)
-
-    def _frame_rows(self) -> Iterator[Row]:
-        """Yield the rows that the frames tell, where there is no index."""
-        try:
-            with self._episodes.open("rb") as file:
-                for offset, frame in frames(file, self._read_frames):
-                    self._read_frames = offset + len(frame)
-                    try:
-                        row = Row.of(unpack(frame), self._lines + 1, offset, len(frame))
-                    except EpisodeFileError as error:
-                        self.damage[self._lines + len(self.damage) + 1] = str(error)
-                        continue
-                    self._lines += 1
-                    yield row
-        except FileNotFoundError:
-            return  # no episode has ended
-        except OSError as error:
-            raise EpisodeFileError(f"cannot read {self._episodes}: {error.strerror or error}") from error
-
-    def _file_rows(self, lines: Iterator[_Line]) -> Iterator[Row]:
-        for number, offset, line in lines:
-            try:
-                # In a file, several runs may have been appended, and their keys are the same.
-                row = self._latest[number] = self._row(number, offset, line)
-            except EpisodeFileError as error:
-                self.damage[number] = str(error)
-            else:
-                yield row
-
-    def _row(self, number: int, offset: int, line: bytes) -> Row:
-        try:
-            return Row.of(unpack(line), number, offset, len(line))
-        except EpisodeFileError as error:
-            if line.endswith(b"\n"):
-                raise
-            text = f"{error}. The line is cut off: the writer was interrupted, or is still at it"
-            raise EpisodeFileError(text) from error
-
-    def _new_lines(self, *, torn: bool = False) -> Iterator[_Line]:
-        """Yield the lines that have been added to a file and are not blank."""
-        for number, offset, line in _lines(self._source, self._lines, self._read, torn=torn):
-            self._lines, self._read = number, offset + len(line)
-            if line.strip():
-                yield number, offset, line
-
-
-def _lines(path: Path, number: int, offset: int, *, torn: bool = False) -> Iterator[_Line]:
-    """Yield the lines of a file after a number of lines.
-
-    Args:
-        path: The file.
-        number: Number of the lines before.
-        offset: Where they end.
-        torn: Whether a last line without its end, which may still be written to, is one of them.
-
-    Raises:
-        EpisodeFileError: The file cannot be read.
-    """
-    try:
-        with path.open("rb") as file:
-            file.seek(offset)
-            for line in file:
-                if line.endswith(b"\n") or torn:
-                    number += 1
-                    yield number, offset, line
-                    offset += len(line)
-    except FileNotFoundError:
-        return  # no episode has ended
-    except OSError as error:
-        raise EpisodeFileError(f"cannot read {path}: {error.strerror or error}") from error
 
 
 def open_run(path: str | Path) -> Run:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import itertools
 import os
 import sys
 from collections.abc import Iterator
@@ -94,32 +93,29 @@ def command(
         raise ArgumentError("--html and --json are two forms; choose one")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # for what its encoding does not have
-    run = Run(path, read=False, joint=True)
-    if not (run.refresh() if run.is_folder else os.path.getsize(path)):
-        raise EpisodeFileError(f"{path} is empty: it holds no episodes (yet)")
+    run = Run(path, joint=True)
+    if not run.rows:
+        reason = f"; line {min(run.damage)}: {run.damage[min(run.damage)]}" if run.damage else " (yet)"
+        raise EpisodeFileError(f"{path} holds no whole episode{reason}")
     if number is not None and html is None:
         _show_episode(run, number, seat, full, as_json)
     else:
-        rows = run.read_all() if seat is None else at_seat(run.read_all(), seat)
+        rows = run.rows if seat is None else at_seat(run.rows, seat)
         fitting = select(run, rows, **conditions) if number is None else iter([run.row(number)])
         if html is not None:
             _write_page(run, ordered(fitting, sort, reverse, None), seat, html, limit or _HTML_LIMIT)
         else:
-            _show_list(run, ordered(fitting, sort, reverse, limit), as_json)
+            _show_list(run, list(ordered(fitting, sort, reverse, limit)), as_json)
     warn_of_damage(run)
 
 
-def _show_list(run: Run, rows: Iterator[Row], as_json: bool) -> None:
-    first = list(itertools.islice(rows, 1))
-    rows = itertools.chain(first, rows)
+def _show_list(run: Run, rows: list[Row], as_json: bool) -> None:
     if as_json:
         print_json([_json_row(row) for row in rows])
-    else:
-        write_lines(list_lines(rows, output_width()))
-    if not first:
-        whole = _count_whole(run)
-        if not as_json:
-            click.echo(f"gem: no episode of {run.path} fits, of {whole:,}", err=True)
+        return
+    write_lines(list_lines(rows, output_width()))
+    if not rows:
+        click.echo(f"gem: no episode of {run.path} fits, of {len(run.rows):,}", err=True)
 
 
 def _json_row(row: Row) -> dict[str, Any]:
@@ -176,7 +172,6 @@ def _write_page(run: Run, rows: Iterator[Row], seat: str | None, out: str, limit
         else:
             written += 1
     if not written:
-        _count_whole(run)
         raise ArgumentError(f"no episode of {run.path} fits; no page is written")
     if left_out:
         page.notes.append(
@@ -187,14 +182,3 @@ def _write_page(run: Run, rows: Iterator[Row], seat: str | None, out: str, limit
     page.write(out)
     rest = f" ({left_out:,} more left out: raise --limit)" if left_out else ""
     click.echo(f"{counted(written, 'episode')} written to {out}{rest}")
-
-
-def _count_whole(run: Run) -> int:
-    """Return how many whole episodes a run holds; raise where there is none."""
-    whole = sum(1 for _ in run.read_all())
-    if whole:
-        return whole
-    if run.damage:
-        number, reason = next(iter(run.damage.items()))
-        raise EpisodeFileError(f"{run.path} holds no whole episode; line {number}: {reason}")
-    raise EpisodeFileError(f"{run.path} holds no episode: its lines are blank")

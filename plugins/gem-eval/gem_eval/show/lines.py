@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from itertools import chain, islice
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
@@ -46,22 +45,19 @@ _COLUMNS: dict[str, tuple[int, Callable[[Row], object]]] = {
 _TO_THE_LEFT = ("environment", "model", "outcome", "cut off", "group", "agents and returns", "error")
 _IF_ANY = ("model", "return", "cut off", "group", "agents and returns", "error")
 _DISPENSABLE = ("group", "seed", "turns", "cut off", "return", "model")
-# Columns that are empty in the first so many rows are left out.
-_ROWS_AHEAD = 200
 _LONGEST_VALUE = 300
 
 _OUTCOME_COLOURS = {"success": "green", "failure": "red", "unscored": "white", "split": "white", "error": "yellow"}
 
 
 def list_lines(episodes: Iterable[Row], width: int | None = None) -> Iterator[str]:
-    """Yield the lines of a list: a header, then one line for each episode, as they come.
+    """Return the lines of a list: a header, then one line for each episode.
 
     Args:
         episodes: Their rows.
         width: Characters in a line: columns are left out to fit, and errors cut; None leaves all whole.
     """
-    rows = map(_cells, episodes)
-    first = list(islice(rows, _ROWS_AHEAD))
+    rows = list(map(_cells, episodes))
     columns = [
         Column(
             name,
@@ -71,10 +67,9 @@ def list_lines(episodes: Iterable[Row], width: int | None = None) -> Iterator[st
             colour=(lambda row: _OUTCOME_COLOURS[row["outcome"]]) if name == "outcome" else lambda row: "",
         )
         for name in _COLUMNS
-        if name not in _IF_ANY or any(row[name] for row in first)
+        if name not in _IF_ANY or any(row[name] for row in rows)
     ]
-    if first:
-        yield from table_lines(columns, chain(first, rows), width)
+    return table_lines(columns, rows, width) if rows else iter(())
 
 
 def episode_lines(episode: Record, number: int, *, full: bool = False) -> Iterator[str]:
