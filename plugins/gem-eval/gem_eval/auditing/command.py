@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from gem_core.cli import (
-    ENVS,
-    arguments_option,
-    env_arguments,
-    find_envs,
-    output_width,
-)
+from gem_core.cli import ENVS, arguments_option, env_arguments, find_envs, output_width
 from gem_core.progress import Progress
 
 if TYPE_CHECKING:

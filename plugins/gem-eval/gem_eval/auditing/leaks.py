@@ -6,11 +6,10 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import islice
 from typing import Any
 
 from gem_eval.auditing.results import Problem, tail
-from gem_eval.auditing.texts import holds, normal, places
+from gem_eval.auditing.texts import holds, normal
 
 _UNLIKELY = 1e-3
 _OTHERS = 20
@@ -24,7 +23,7 @@ _SHOWN_ANYWAY = {"feedback", "suffix", "messages", "system", "tools", "tool_inst
 _TELLING = (
     r"(?:answers?|ans|solution|gold|labels?|target|expected|reference|truth|key|hint|secret|hidden|correct|debug)"
 )
-_MARK = re.compile(rf"\b{_TELLING}\b[^\n:=]{{0,20}}[:=]\s*(\S[^\n]{{0,80}})", re.IGNORECASE)
+_MARK = re.compile(rf"\b{_TELLING}\b[^\n:=]{{0,20}}(?:[:=]|\b(?:is|was)\b)\s*(\S[^\n]{{0,80}})", re.IGNORECASE)
 _BRIEF = 200
 """Characters of what is no passage, where an answer is one thing among others."""
 _AROUND = " .,;:!?()[]{}<>*\"'`-"
@@ -110,13 +109,12 @@ def find_leaks(views: Sequence[RowView]) -> Iterator[Problem]:
     """Yield the places that give gold answers away more often than chance.
 
     A gold answer of one letter stands in many a text; so each place is compared with how often it holds the gold
-    answers of other rows. In what is shown as text, an answer may stand for good reason, as among the options of a
-    question: there only a place that tells which text is the answer is a leak.
+    answers of other rows. What the observation itself gives away is found by answering with it; see ``claims``.
     """
     known = [view for view in views if view.gold]
     golds = [normal(view.gold or "") for view in known]
     if len(set(golds)) > 1:
-        for search in (_in_infos, _in_texts, _in_later):
+        for search in (_in_infos, _in_later):
             yield from search(known, golds)
 
 
@@ -154,59 +152,6 @@ def _tells(values: Sequence[str], golds: Sequence[str]) -> bool:
 def _majority(golds: Sequence[str]) -> float:
     """Return how often the most frequent gold answer is right."""
     return Counter(golds).most_common(1)[0][1] / len(golds)
-
-
-def _in_texts(known: Sequence[RowView], golds: Sequence[str]) -> Iterator[Problem]:
-    """Yield what stands before the gold answer in most texts, or else that it stands in them."""
-    texts = [normal(view.text) for view in known]
-    ends = [at for at, view in enumerate(known) if _ends_with(normal(view.texts[0]), golds[at])]
-    if len(ends) >= 0.8 * len(known) and tail(len(ends), len(known), _majority(golds)) <= _UNLIKELY:
-        yield _leak(known, ends, "the observation ends with the gold answer", [repr(text[-60:]) for text in texts])
-        return
-    before: Counter[str] = Counter()
-    for text, gold in zip(texts, golds, strict=True):
-        marks = (text[max(0, at - size) : at] for at in islice(places(text, gold), 5) for size in (14, 8))
-        before.update(list(dict.fromkeys(marks)))
-    for mark, _ in before.most_common(20):
-        with_it = [at for at, text in enumerate(texts) if mark in text]
-        right = [at for at in with_it if _is_behind(texts[at], mark, golds[at])]
-        telling = sum(map(str.isalpha, mark)) >= 3
-        if (
-            telling
-            and len(right) >= 0.8 * len(with_it)
-            and tail(len(right), len(with_it), _majority(golds)) <= _UNLIKELY
-        ):
-            # Questions that are made from one pattern may give a number at the same place in each, and mean it.
-            fails = all(_is_said(texts[at], mark, golds[at], normal(known[at].question)) for at in right)
-            examples = [f"{mark!r} and then {gold!r:.80}" for gold in golds]
-            yield _leak(known, right, f"the gold answer follows {mark!r} in the observation", examples, fails)
-            return
-    hits = [at for at, text in enumerate(texts) if holds(text, golds[at])]
-    if len(hits) >= 0.5 * len(known) and _beyond_chance(hits, texts, golds):
-        message = (
-            "the gold answer stands somewhere in the observation, those of other rows rarely: right where a question "
-            "shows its options or a passage"
-        )
-        yield _leak(known, hits, message, [f"{gold!r:.80}" for gold in golds], False)
-
-
-def _ends_with(text: str, gold: str) -> bool:
-    text = text.rstrip(_AROUND)
-    return text.endswith(gold) and holds(text[-len(gold) - 2 :], gold)
-
-
-def _is_behind(text: str, mark: str, gold: str) -> bool:
-    """Tell whether a gold answer stands right behind a mark."""
-    whole = r"(?![^\W_])" if gold[-1].isalnum() else ""
-    return re.search(re.escape(mark + gold) + whole, text) is not None
-
-
-def _is_said(text: str, mark: str, gold: str, question: str) -> bool:
-    """Tell whether a gold answer is called so where it stands behind a mark, or stands outside of the question."""
-    start = text.find(mark + gold)
-    if re.search(_TELLING, text[max(0, start - 30) : start + len(mark)]):
-        return True
-    return bool(question) and question in text and mark + gold in text.replace(question, "\n")
 
 
 def _in_later(known: Sequence[RowView], golds: Sequence[str]) -> Iterator[Problem]:

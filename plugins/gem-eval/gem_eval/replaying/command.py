@@ -12,16 +12,7 @@ from typing import Any
 import click
 
 from gem_core import Episode, write_episodes
-from gem_core.cli import (
-    AGENTS,
-    agent_options,
-    arguments_option,
-    counted,
-    echo_line,
-    env_arguments,
-    given,
-    output_width,
-)
+from gem_core.cli import AGENTS, agent_options, arguments_option, counted, echo_line, env_arguments, given, output_width
 from gem_core.errors import ArgumentError
 from gem_eval.output import print_json
 from gem_eval.records import open_run

@@ -19,14 +19,7 @@ from gem_core.background import run_sync, run_without_loop
 from gem_core.errors import ArgumentError, EpisodeFileError, GemError, GradingError
 from gem_core.records import to_plain
 from gem_core.registry import load_entry_point
-from gem_core.rollouts import (
-    Agent,
-    close_agent,
-    current_folder_importable,
-    is_asynchronous,
-    load_agent,
-    prepare_agent,
-)
+from gem_core.rollouts import Agent, close_agent, current_folder_importable, is_asynchronous, load_agent, prepare_agent
 from gem_eval.grouping import grouped
 from gem_eval.opening import opened, refuse_seats, require_episodes
 from gem_eval.replaying.replay import differences, repeated
