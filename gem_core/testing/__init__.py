@@ -11,7 +11,7 @@
 same for the things in their names, and
 ``pytest --gem-envs 'mine:*'`` runs ``check_env`` on each environment that matches.
 
-Neither pytest nor hypothesis is needed. Every promise is one function: see ``promises.py`` and ``promises_agents.py``.
+Neither pytest nor hypothesis is needed. Every promise is one function: see ``promises.py``.
 """
 
 import lazy_loader

@@ -6,8 +6,7 @@ from .checks import (
     check_command as check_command,
     check_wrapper as check_wrapper,
 )
-from .conformance import check_env as check_env
-from .contract import ContractError as ContractError, Report as Report
+from .env_check import ContractError as ContractError, Report as Report, check_env as check_env
 from .findings import CheckError as CheckError
 from .hostile import hostile_actions as hostile_actions
 from .plugin_check import check_plugin as check_plugin

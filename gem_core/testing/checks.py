@@ -15,11 +15,11 @@ from gem_core.cli import cli
 from gem_core.env.wrapper import AnyEnv, Wrapper, reset_async, step_async
 from gem_core.errors import ClosedError
 from gem_core.records.episode import Episode
+from gem_core.records.plain_json import to_plain
 from gem_core.rollouts.agent import Agent, as_agent, load_agent
 from gem_core.rollouts.drivers import rollout
-from gem_core.testing.comparing import plain, play
-from gem_core.testing.conformance import check_env
-from gem_core.testing.contract import Report
+from gem_core.testing.comparing import play
+from gem_core.testing.env_check import Report, check_env
 from gem_core.testing.findings import Findings
 from gem_core.testing.small_task import SMALL_TASK, SmallTask, register_small_task
 
@@ -73,11 +73,11 @@ def check_backend(backend: str | tuple[str, Mapping[str, Any]]) -> list[str]:
     rounds = [["say 3", "hello", "say 7"], ["", "say 1", "say 1"], ["a", "b", "c"], ["say 5"] * 3]
 
     def played(vector: Any, rounds: list[list[str]]) -> list[Any]:
-        seen: list[Any] = [plain(each) for each in vector.reset(seed=1)]
+        seen: list[Any] = [to_plain(each) for each in vector.reset(seed=1)]
         for actions in rounds:
             step = vector.step(actions)
             flags = (step.rewards.tolist(), step.terminated.tolist(), step.truncated.tolist())
-            seen += [plain(step.observations), *flags, plain(step.infos)]
+            seen += [to_plain(step.observations), *flags, to_plain(step.infos)]
         return seen
 
     try:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-import numpy as np
-
+from gem_core.records.plain_json import to_plain
 from gem_core.testing.findings import shown
 
 
@@ -29,33 +27,11 @@ def play(
 def record_of(result: Any) -> dict[str, Any]:
     """Return the result of a reset or a step as plain data, without durations."""
     observation, *middle, info = result
-    record = {"observation": plain(observation), "info": plain(info)}
-    record.update(zip(("reward", "terminated", "truncated"), map(plain, middle), strict=False))
-    for each in (record["info"], *(record["info"].get("agents") or {}).values()):
-        if isinstance(each.get("episode"), dict):
-            each["episode"].pop("t", None)  # seconds of wall-clock time, as in Gymnasium
+    record = {"observation": to_plain(observation), "info": to_plain(info)}
+    record.update(zip(("reward", "terminated", "truncated"), map(to_plain, middle), strict=False))
+    if isinstance(record["info"].get("episode"), dict):
+        record["info"]["episode"].pop("t", None)  # seconds of wall-clock time, as in Gymnasium
     return record
-
-
-def plain(value: Any) -> Any:
-    """Copy a value into plain data: equal values stay equal and different ones different, in any process."""
-    if value is None or isinstance(value, bool):
-        return value
-    if isinstance(value, str | int):
-        return str(value) if isinstance(value, str) else int(value)
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else {"float": repr(float(value))}
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic | np.ndarray):
-        return {"array": plain(value.tolist()), "dtype": str(value.dtype)}
-    if isinstance(value, set | frozenset):
-        return {"set": sorted(map(repr, value))}
-    if is_image(value):
-        return {"image": [value.mode, *value.size], "sha256": hashlib.sha256(value.tobytes()).hexdigest()}
-    return {"object": f"{type(value).__module__}.{type(value).__qualname__}"}
 
 
 def is_image(value: Any) -> bool:

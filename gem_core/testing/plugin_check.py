@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import sys
-import tempfile
 from collections.abc import Collection
-from contextlib import closing
 from dataclasses import dataclass, field
-from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
-from typing import IO, Any
+from typing import TYPE_CHECKING, Any
 
 from gem_core.arguments import check_arguments
-from gem_core.errors import GemError, RegistrationError, UnknownPluginError
+from gem_core.errors import GemError, RegistrationError
 from gem_core.registry.entry_points import load_entry_point
-from gem_core.registry.hookspecs import ENTRY_POINT_GROUP
+from gem_core.registry.lookup import registry
 from gem_core.registry.plugins import Record, one_line
 from gem_core.registry.requirements import RequirementStatus, unmet
 from gem_core.registry.specs import EnvSpec, RequirementSpec, ToolSpec
-from gem_core.suggestions import did_you_mean
+from gem_core.testing.elsewhere import Sender, run_elsewhere
 from gem_core.testing.findings import Findings, place_of
-from gem_core.testing.interpreter import CallError, Sender, sent_by
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 TIMEOUT_S = 60.0
 """Default limit for the import of one entry point, in seconds."""
@@ -30,7 +29,7 @@ def check_plugin(plugin: str | ModuleType, *, allow: Collection[str] = ()) -> li
     """Try everything that an installed plugin promises: that it declares only, and that what it declares is there.
 
     Args:
-        plugin: Name of its entry point, distribution, package or module; or the module.
+        plugin: Name of its entry point or distribution, or its declaring module.
         allow: Packages of others that its declaring module may import.
 
     Returns:
@@ -40,12 +39,15 @@ def check_plugin(plugin: str | ModuleType, *, allow: Collection[str] = ()) -> li
         CheckError: Promises are broken; the message names each, with what was seen.
         UnknownPluginError: No plugin of this name is installed.
     """
-    point = find_plugin(plugin if isinstance(plugin, str) else plugin.__name__)
+    if isinstance(plugin, ModuleType):
+        named = {each.entry_point.module: each.name for each in registry().plugins()}
+        plugin = named.get(plugin.__name__, plugin.__name__)
+    point = registry().plugins_named(plugin)[0].entry_point
     seen = inspect_plugin(point)
     findings = Findings(f"plugin {point.name!r}")
     if not findings.expect("It loads, and its hooks return records.", seen.failure is None, seen.failure):
         findings.result()
-    own = {point.value.partition(".")[0].partition(":")[0], *allow}
+    own = {point.module.partition(".")[0], *allow}
     foreign = sorted(set(seen.packages) - own)
     findings.expect(
         "Declaring imports the standard library, gem_core and the plugin's own package, and nothing else.",
@@ -59,24 +61,6 @@ def check_plugin(plugin: str | ModuleType, *, allow: Collection[str] = ()) -> li
     wrong = seen.problems()
     findings.expect("Every entry point can be imported, and takes its arguments.", not wrong, "; ".join(wrong))
     return findings.result()
-
-
-def find_plugin(name: str) -> EntryPoint:
-    """Return the entry point of an installed plugin, by its name or that of its distribution, package or module.
-
-    Raises:
-        UnknownPluginError: No plugin of this name is installed.
-    """
-    points = list(entry_points(group=ENTRY_POINT_GROUP))
-    for point in points:
-        module = point.value.partition(":")[0]
-        if name in (point.name, _distribution(point), module, module.partition(".")[0]):
-            return point
-    names = [point.name for point in points]
-    raise UnknownPluginError(
-        f"no plugin {name!r}.{did_you_mean(name, names)} Installed: {', '.join(names) or 'none'}. "
-        "Install yours first, as with 'pip install -e .'"
-    )
 
 
 @dataclass
@@ -117,79 +101,51 @@ def inspect_plugin(point: EntryPoint, timeout_s: float = TIMEOUT_S) -> Inspectio
         point: The plugin.
         timeout_s: Seconds that each import may take.
     """
-    seen = Inspection()
+    outcome = run_elsewhere(_import_all, point.name, timeout_s, variables=_others_disabled(point))
+    seen = Inspection(printed=outcome.printed)
     present = ""
-    # Files and not pipes: what the interpreter starts may outlive it.
-    with tempfile.TemporaryFile() as printed, tempfile.TemporaryFile() as complained:
-        files: dict[str, Any] = {"stdout": printed, "stderr": complained}
-        args = (point.name, _distribution(point), timeout_s)
-        try:
-            with closing(sent_by(_import_all, *args, variables=_others_disabled(point), **files)) as answers:
-                loaded = next(answers)
-                seen.failure, seen.packages, seen.summaries = loaded
-                for what, text in answers:
-                    if what == "importing":
-                        present = text
-                    else:
-                        seen.errors[present] = text
-        except CallError as error:
-            how = f"{error}{_last_line(complained)}"
-            if present:
-                seen.errors[present] = f"while its entry point was imported, {how}; what comes after it was not tried"
-            else:
-                seen.failure = f"while it was loaded, {how}"
-        seen.printed = _text(printed)
+    for what, value in outcome.messages:
+        if what == "loaded":
+            seen.failure, seen.packages, seen.summaries = value
+        elif what == "importing":
+            present = value
+        else:
+            seen.errors[present] = value
+    if outcome.problem and present:
+        problem = f"while its entry point was imported, {outcome.problem}; what comes after it was not tried"
+        seen.errors[present] = problem
+    elif outcome.problem:
+        seen.failure = f"while it was loaded, {outcome.problem}"
     return seen
 
 
 def _others_disabled(point: EntryPoint) -> dict[str, str]:
     """Return the environment variables with which only one plugin is loaded, and its failure is not raised."""
-    others = [other for other in entry_points(group=ENTRY_POINT_GROUP) if other != point]
-    names = {name for other in others for name in (other.name, _distribution(other))}
-    disabled = sorted(names - {point.name, _distribution(point)})
-    return {"GEM_PLUGINS_DISABLE": ",".join(disabled), "GEM_PLUGINS_STRICT": ""}
-
-
-def _distribution(point: EntryPoint) -> str:
-    return point.dist.name if point.dist is not None else ""
-
-
-def _text(file: IO[bytes]) -> str:
-    file.seek(0)
-    return file.read().decode(errors="replace")
-
-
-def _last_line(complained: IO[bytes]) -> str:
-    """Return the line of standard error that tells why an interpreter ended."""
-    lines = _text(complained).strip().splitlines()
-    last = next((line for line in lines if line.startswith("Fatal Python error: ")), lines[-1] if lines else "")
-    return f": {last[:200]}" if last else ""
+    others = [plugin.name for plugin in registry().plugins() if plugin.name != point.name]
+    return {"GEM_PLUGINS_DISABLE": ",".join(others), "GEM_PLUGINS_STRICT": ""}
 
 
 # These functions run in the other interpreter.
 
 
-def _import_all(send: Sender, name: str, distribution: str, timeout_s: float) -> None:
+def _import_all(send: Sender, name: str, timeout_s: float) -> None:
     """Load a plugin, send what it declares, and then each record that is imported and what is wrong with it."""
     import pluggy  # noqa: F401 - what the loader itself needs is no import of the plugin's
 
-    from gem_core.registry.lookup import registry
-
     send.allow(timeout_s)
     before = set(sys.modules)
-    plugins = [each for each in registry().plugins() if each.name == name]
-    plugin = next(each for each in plugins if distribution in ("", each.distribution))
-    packages = {name.partition(".")[0] for name in set(sys.modules) - before}
+    plugin = registry().plugins_named(name)[0]
+    packages = {module.partition(".")[0] for module in set(sys.modules) - before}
     packages -= {*sys.stdlib_module_names, "gem_core", "pluggy"}
     failure = None if plugin.failure is None else plugin.failure.error
     summaries = {_name(record): record.summary for record in plugin.records}
-    send((failure, sorted(each for each in packages if not each.startswith("__editable__")), summaries))
+    send("loaded", [failure, sorted(each for each in packages if not each.startswith("__editable__")), summaries])
     for record in plugin.records:
-        send(("importing", _name(record)))
+        send("importing", _name(record))
         send.allow(timeout_s)
         problem = _problem(record)
         if problem:
-            send(("wrong", problem))
+            send("wrong", problem)
 
 
 def _name(record: Record) -> str:

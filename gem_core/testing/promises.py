@@ -1,15 +1,18 @@
 """What every environment promises: results, ends of episodes, randomness, and answers to any text.
 
-The order is that in which they are tried: later ones use what earlier ones found.
+The order is that in which they are tried: later ones use what earlier ones found. In an environment of several agents,
+each is tried at each seat.
 """
 
 from __future__ import annotations
 
+import inspect
 import io
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import redirect_stdout, suppress
+from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
 from typing import Any, cast
@@ -17,77 +20,119 @@ from typing import Any, cast
 import numpy as np
 
 from gem_core.env.base import Env
+from gem_core.env.guard import Guard
 from gem_core.env.observations import observation_from
 from gem_core.env.wrapper import AnyEnv
-from gem_core.errors import NotSupportedError, ResetNeededError, SamplingNotSupported, StateNotSupported
-from gem_core.testing.comparing import differences, json_loss, plain
-from gem_core.testing.contract import promise
+from gem_core.errors import EnvFaultError, NotSupportedError, ResetNeededError, SamplingNotSupported, StateNotSupported
+from gem_core.records.plain_json import to_plain
+from gem_core.rollouts.agent import Context
+from gem_core.testing.calls import global_random_state, scramble
+from gem_core.testing.comparing import differences, json_loss
 from gem_core.testing.findings import NotTriedError, shown
 from gem_core.testing.hostile import hostile_actions
-from gem_core.testing.isolation import global_random_state, scramble
-from gem_core.testing.joint import (
-    approach,
-    guarded,
-    is_joint,
-    responses,
-    say,
-    say_as,
-    seats_of,
-    spaces_of,
-    split,
-    step_label,
-    unchecked,
-)
-from gem_core.testing.subject import PlainResult, Script, Subject
-from gem_core.types import Action
+from gem_core.testing.subject import PlainResult, Script, Subject, random_or_hello, step_label, unchecked
+from gem_core.types import Observation, Response
+
+PromiseCheck = Callable[[Subject], Iterator[str]]
+"""Tries one promise and yields each violation; raises ``NotTriedError`` if it cannot be tried."""
+
+
+@dataclass(frozen=True)
+class Promise:
+    """One sentence of the environment contract.
+
+    Args:
+        slug: Its short, stable name.
+        sentence: What is promised.
+        mend: How an author can fix an environment that breaks it.
+        check: The function that tries it.
+    """
+
+    slug: str
+    sentence: str
+    mend: str
+    check: PromiseCheck
+
+
+PROMISES: dict[str, Promise] = {}
+"""Every promise by its slug, in the order in which they are tried."""
+
+OF_ONE, OF_SEVERAL = ("gymnasium",), ("seats", "reasoning")
+"""Slugs of the promises that only environments of one agent make, or only those of several."""
+
+
+def promise(check: PromiseCheck) -> PromiseCheck:
+    """Register a check: its name is the slug; its docstring has the sentence, and then how to mend what is broken."""
+    slug = check.__name__.rstrip("_").replace("_", "-")
+    sentence, _, mend = inspect.cleandoc(check.__doc__ or "").partition("\n\n")
+    PROMISES[slug] = Promise(slug, sentence, " ".join(mend.split()), check)
+    return check
+
 
 # Episodes and their results.
 
 
-@promise("let the constructor take the arguments that it is given, and leave what can fail to reset.")
+@promise
 def construct(subject: Subject) -> Iterator[str]:
-    """The environment can be made, as often as wanted."""
+    """The environment can be made, as often as wanted.
+
+    Let the constructor take the arguments that it is given, and leave what can fail to reset.
+    """
     subject.new()
     subject.new()
     yield from ()
 
 
-@promise(
-    "define reset(self, seed=None, options=None), return (observation, info) from it and (observation, reward, "
-    "terminated, truncated, info) from step, with several agents a dictionary by agent of each, and raise nothing."
-)
+@promise
 def episode(subject: Subject) -> Iterator[str]:
-    """An episode can be played: reset gives two values and each step gives five, whatever is answered."""
-    task = subject.new().unwrapped
+    """An episode can be played: reset gives two values and each step gives five, whatever is answered.
+
+    Define reset(self, seed=None, options=None), return (observation, info) from it and (observation, reward,
+    terminated, truncated, info) from step, with several agents a dictionary by agent of each, and raise nothing.
+    """
+    task = subject.bare()
     for what, expected in (("reset()", 2), ("step('')", 5)):
-        result = subject.reset(task, subject.seeds[0]) if expected == 2 else subject.step(task, say(task, ""))
-        infos = result[-1] if isinstance(result, tuple) and result else None
-        if not isinstance(infos, dict) or len(result) != expected:
+        try:
+            result = subject.reset(task, subject.seeds[0]) if expected == 2 else subject.step(task, "")
+        except EnvFaultError as error:
+            if subject.seat is None or error.__cause__ is not None:
+                raise
+            subject.notes.append(f"the seat {subject.seat!r} was not tried: {error}")
+            raise NotTriedError(str(error)) from error
+        if not isinstance(result, tuple) or len(result) != expected or not isinstance(result[-1], dict):
             yield f"{what} returned {shown(result)}, not a tuple of {expected} that ends with a dictionary"
-            return
-        if subject.several and not all(isinstance(part, dict) for part in (*result, *infos.values())):
-            yield f"{what} returned {shown(result)}, not {expected} dictionaries by agent, of infos the last"
-            return
-        if subject.several and expected == 5 and result[2].keys() != result[3].keys():
-            yield f"{what} returned the terminations {shown(result[2])} and the truncations {shown(result[3])}"
             return
     subject.record_scripts()
     subject.called("reset(seed=0, options={})", task.reset, seed=0, options={})
 
 
-@promise(
-    "return an observation of the observation space (gem_core.env.spaces.Content() for content parts), a finite float, "
-    "two bools of which one is False, and a dictionary."
-)
+@promise
+def seats(subject: Subject) -> Iterator[str]:
+    """The possible agents have names that differ, and they are the seats of the record.
+
+    Set possible_agents in the class or the constructor, and write the same names into the record as seats.
+    """
+    names = list(subject.seats)
+    if not all(isinstance(name, str) and name for name in names) or len(set(names)) < len(names):
+        yield f"possible_agents is {shown(names)}"
+    if subject.seats_of_record not in ([], names):
+        yield f"possible_agents is {shown(names)}, and the seats of the record are {shown(subject.seats_of_record)}"
+
+
+@promise
 def types(subject: Subject) -> Iterator[str]:
-    """Observations lie in their space, rewards are finite, flags are bools and never both set, info is a dict."""
-    for where, result, space in subject.results:
-        for problem in problems_of(space, result):
+    """Observations lie in their space, rewards are finite, flags are bools and never both set, info is a dict.
+
+    Return an observation of the observation space (gem_core.env.spaces.Content() for content parts), a finite float,
+    two bools of which one is False, and a dictionary.
+    """
+    space = subject.new().observation_space
+    for where, result in subject.results:
+        for problem in _problems_of(space, result):
             yield f"{where} gave {problem}"
 
 
-def problems_of(space: Any, result: Any) -> Iterator[str]:
-    """Tell what is wrong with the types of what one agent got from a reset or a step."""
+def _problems_of(space: Any, result: Any) -> Iterator[str]:
     observation, *middle, info = result
     if not space.contains(observation):
         yield f"the observation {shown(observation)}, which is not in {shown(space)}"
@@ -106,39 +151,33 @@ def problems_of(space: Any, result: Any) -> Iterator[str]:
         yield "terminated and truncated, both True"
 
 
-@promise("give every instance spaces that are equal by value, such as gem_core.env.spaces.Text().")
+@promise
 def spaces(subject: Subject) -> Iterator[str]:
-    """Two instances have equal spaces, and every string is an action."""
+    """Two instances have equal spaces, and every string is an action.
+
+    Give every instance spaces that are equal by value, such as gem_core.env.spaces.Text().
+    """
     one, other = subject.new(), subject.new()
-    for seat in seats_of(one):
-        of = f" of {seat!r}" if is_joint(one) else ""
-        for first, second in zip(spaces_of(one, seat), spaces_of(other, seat), strict=True):
-            if first != second:
-                yield f"a space{of} is {shown(first)} and, of another instance, {shown(second)}, which are not equal"
-        action_space = spaces_of(one, seat)[1]
-        for text in ("", "hello", "é\n🙂\x00\ud800"):
-            if not action_space.contains(text):
-                yield f"the action space{of} {shown(action_space)} does not contain {shown(text)}"
-
-
-@promise("put only strings, finite numbers, bools, None, lists and dictionaries with string keys into info.")
-def info_json(subject: Subject) -> Iterator[str]:
-    """Info is plain JSON, images apart: writing and reading it gives an equal object."""
-    for where, result, _ in subject.results:
-        loss = json_loss(result[-1])
-        if loss is not None:
-            yield f"info of {where}: {loss}"
+    for first, second in (
+        (one.observation_space, other.observation_space),
+        (one.action_space, other.action_space),
+    ):
+        if first != second:
+            yield f"a space is {shown(first)} and, of another instance, {shown(second)}, which are not equal"
+    for text in ("", "hello", "é\n🙂\x00\ud800"):
+        if not one.action_space.contains(text):
+            yield f"the action space {shown(one.action_space)} does not contain {shown(text)}"
 
 
 def _is_error(value: object) -> bool:
-    return value is None or (isinstance(value, Mapping) and {str} == {type(value.get(key)) for key in _OF_ERRORS})
+    names = ("kind", "message")
+    return value is None or (isinstance(value, Mapping) and {str} == {type(value.get(name)) for name in names})
 
 
 def _are_mappings(value: object) -> bool:
     return isinstance(value, list) and all(isinstance(item, Mapping) for item in value)
 
 
-_OF_ERRORS = ("kind", "message")
 _FORMS: dict[str, Callable[[Any], bool]] = {
     "seed": lambda value: isinstance(value, int) and not isinstance(value, bool),
     "task_id": lambda value: isinstance(value, str | int) and not isinstance(value, bool),
@@ -151,58 +190,92 @@ _FORMS: dict[str, Callable[[Any], bool]] = {
     "episode": lambda value: isinstance(value, Mapping) and {"r", "l"} <= set(value),
     "error": _is_error,
 }
+"""The keys of info that mean the same everywhere, and whether a value has their form."""
 
 
-@promise("give the keys with one meaning everywhere the form that DESIGN.md names, section 3.")
-def info_keys(subject: Subject) -> Iterator[str]:
-    """The keys of info that mean the same everywhere have their form, and an error ends the episode as truncated."""
+@promise
+def info(subject: Subject) -> Iterator[str]:
+    """Info is plain JSON, images apart, its shared keys have their form, and an error ends the episode as truncated.
+
+    Put only strings, finite numbers, bools, None, lists and dictionaries with string keys into info, and give the keys
+    with one meaning everywhere the form that docs/environments.md names.
+    """
     over = told = False
-    for where, result, _ in subject.results:
-        info = result[-1]
-        if not isinstance(info, Mapping):
-            continue
-        over, told = over or bool(len(result) == 5 and result[2]), told or "correct" in info
+    for where, result in subject.results:
+        found = result[-1]
+        if (loss := json_loss(found)) is not None:
+            yield f"info of {where}: {loss}"
+        over, told = over or bool(len(result) == 5 and result[2]), told or "correct" in found
         for key, accepted in _FORMS.items():
-            if key in info and not accepted(info[key]):
-                yield f"info[{key!r}] of {where} is {shown(info[key])}"
-        if info.get("error") is not None and len(result) == 5 and not result[3]:
+            if key in found and not accepted(found[key]):
+                yield f"info[{key!r}] of {where} is {shown(found[key])}"
+        if found.get("error") is not None and len(result) == 5 and not result[3]:
             yield f"{where} has info['error'] and is not truncated"
     if over and not told:
         subject.notes.append(
-            "info-keys: no info says 'correct', so success stays unknown and has no rate. Say it at the end, or "
-            "None from reset on if no answer is right"
+            "info: none says 'correct', so success stays unknown and has no rate. Say it at the end, or None from "
+            "reset on if no answer is right"
         )
 
 
-@promise("return feedback + suffix as the observation, or leave both keys out.")
+@promise
 def suffix(subject: Subject) -> Iterator[str]:
-    """Where info holds feedback and suffix, the observation is the first followed by the second."""
+    """Where info holds feedback and suffix, the observation is the first followed by the second.
+
+    Return feedback + suffix as the observation, or leave both keys out.
+    """
     # The task alone: a view of the history changes observations and leaves the keys.
-    for where, result, _ in subject.results_of(guarded(subject.new().unwrapped)):
+    for where, result in subject.results_of(unchecked(Guard(subject.bare()))):
         given = [result[-1][key] for key in ("feedback", "suffix") if key in result[-1]]
         if len(given) == 1:
             yield f"info of {where} has only one of 'feedback' and 'suffix'"
-        elif given and plain(observation_from(*given)) != plain(result[0]):
+        elif given and to_plain(observation_from(*given)) != to_plain(result[0]):
             yield f"{where}: the observation is {shown(result[0])}, feedback and suffix are {shown(given)}"
 
 
-@promise("build a new dictionary and a new list for every result.")
+@promise
 def fresh_objects(subject: Subject) -> Iterator[str]:
-    """What a call returned is not changed by later calls."""
-    kept = [(where, list(result), plain(result)) for where, result in subject.calls_of(subject.new())]
+    """What a call returned is not changed by later calls.
+
+    Build a new dictionary and a new list for every result.
+    """
+    kept = [(where, list(result), to_plain(result)) for where, result in subject.results_of(subject.new())]
     for where, result, before in kept:
-        if plain(result) != before:
-            yield f"what {where} returned was changed by later calls: {shown(before)}, then {shown(plain(result))}"
+        if to_plain(result) != before:
+            yield f"what {where} returned was changed by later calls: {shown(before)}, then {shown(to_plain(result))}"
+
+
+_THINKING = ("<think>{0}</think>{1}", "{0}</think>{1}", "{1}<think>{0}")
+"""How a response shows what was thought: in a block, in one that the prompt opened, and in one that is never closed."""
+
+
+@promise
+def reasoning(subject: Subject) -> Iterator[str]:
+    """What an agent thinks reaches nobody else: no observation and no info of another seat shows it.
+
+    Show others what you extract of a response, with gem_core.parsing.without_thinking where all of it is said.
+    """
+    for form in _THINKING:
+
+        def thinking(observation: Observation, context: Context, form: str = form) -> Response:
+            text = form.format("thought71236", random_or_hello(observation, context))
+            return Response(text, reasoning="thought71236")
+
+        for where, result in subject.results_of(subject.new(thinking)):
+            if "thought71236" in repr(to_plain(result)).lower():
+                yield f"{where} showed what another seat thought, in the form {form}"
+                return
 
 
 # Ends.
 
 
-@promise(
-    "let the guard that gem_core.make puts around the task, or MultiAgentEnv, refuse it, and no wrapper catch that."
-)
+@promise
 def step_after_end(subject: Subject) -> Iterator[str]:
-    """A step before the first reset or after the end raises ResetNeededError, and reset begins anew."""
+    """A step before the first reset or after the end raises ResetNeededError, and reset begins anew.
+
+    Let the guard that gem_core.make puts around the task refuse it, and no wrapper catch that.
+    """
     env = subject.new()
     script = next((script for script in subject.scripts if script.ended), None)
     for when in ("before the first reset", "after the end", "once more after the end"):
@@ -213,41 +286,50 @@ def step_after_end(subject: Subject) -> Iterator[str]:
             for _ in subject.play(env, script):
                 pass
         with suppress(ResetNeededError):
-            yield f"step('hello') {when} returned {shown(subject.step(env, say(env, 'hello')))}"
+            yield f"step('hello') {when} returned {shown(subject.step(env, 'hello'))}"
     if script is not None:
         subject.reset(env, script.seed)
-        subject.step_fitted(env, script.actions[0])
+        subject.step(env, script.actions[0])
 
 
-@promise("make close() do nothing when there is nothing left to free.")
+@promise
 def close_twice(subject: Subject) -> Iterator[str]:
-    """Close works right after construction, in the midst of an episode, and a second time."""
+    """Close works right after construction, in the midst of an episode, and a second time.
+
+    Make close() do nothing when there is nothing left to free.
+    """
     env = subject.new()
     subject.close(env)
     subject.close(env)
     env = subject.new()
     subject.reset(env, subject.scripts[0].seed)
-    subject.step_fitted(env, subject.scripts[0].actions[0])
+    subject.step(env, subject.scripts[0].actions[0])
     subject.close(env)
     subject.close(env)
     yield from ()
 
 
-@promise("set the class attribute concurrency to one of these.")
+@promise
 def concurrency(subject: Subject) -> Iterator[str]:
-    """Concurrency is "inline", "thread", "process" or "async"."""
-    declared = getattr(subject.new().unwrapped, "concurrency", None)
+    """Concurrency is "inline", "thread", "process" or "async".
+
+    Set the class attribute concurrency to one of these.
+    """
+    declared = getattr(subject.bare(), "concurrency", None)
     if declared not in ("inline", "thread", "process", "async"):
         yield f"concurrency is {shown(declared)}"
 
 
-@promise("see https://gymnasium.farama.org/api/env/ for what Gymnasium expects.", of="one")
+@promise
 def gymnasium(subject: Subject) -> Iterator[str]:
-    """Gymnasium's own checker passes on the task without wrappers."""
+    """Gymnasium's own checker passes on the task without wrappers.
+
+    See https://gymnasium.farama.org/api/env/ for what Gymnasium expects.
+    """
     subject.need_episodes()
     from gymnasium.utils.env_checker import check_env as gymnasium_check
 
-    task = subject.new().unwrapped
+    task = subject.bare()
     task.action_space.seed(subject.limits.seed)
     # It renders in every mode, and "human" prints; it warns of what text does not have.
     with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
@@ -261,9 +343,12 @@ def gymnasium(subject: Subject) -> Iterator[str]:
 # Randomness.
 
 
-@promise("draw only from self.np_random, and make everything of an episode anew in reset.")
+@promise
 def determinism(subject: Subject) -> Iterator[str]:
-    """The same seed and actions give the same episode, in a new and in a used instance, whatever the global state."""
+    """The same seed and actions give the same episode, in a new and in a used instance, whatever the global state.
+
+    Draw only from self.np_random, and make everything of an episode anew in reset.
+    """
     subject.expect_determinism()
     references: list[list[PlainResult]] = []
     seen: list[str] = []
@@ -285,9 +370,12 @@ def determinism(subject: Subject) -> Iterator[str]:
     yield from seen
 
 
-@promise("do not depend on hash(), the order of a set, the process id or the environment's variables.")
+@promise
 def process_determinism(subject: Subject) -> Iterator[str]:
-    """Another process, in which strings hash differently, plays the same episode."""
+    """Another process, in which strings hash differently, plays the same episode.
+
+    Do not depend on hash(), the order of a set, the process id or the environment's variables.
+    """
     yield from subject.elsewhere(_repeats) if subject.references else ()
 
 
@@ -298,9 +386,12 @@ def _repeats(subject: Subject) -> Iterator[str]:
         )
 
 
-@promise("keep the state of an episode in self, never in the class or the module.")
+@promise
 def interleaving(subject: Subject) -> Iterator[str]:
-    """Other instances that play at the same time change nothing."""
+    """Other instances that play at the same time change nothing.
+
+    Keep the state of an episode in self, never in the class or the module.
+    """
     references = subject.references
     players = [subject.play(subject.new(), script) for script, _ in references]
     rounds = list(zip_longest(*players))
@@ -309,9 +400,12 @@ def interleaving(subject: Subject) -> Iterator[str]:
         yield from differences(what, expected, [record for record in found if record is not None])
 
 
-@promise("draw from self.np_random; fence in a library that insists on global state, and put its state back.")
+@promise
 def global_random(subject: Subject) -> Iterator[str]:
-    """The global random state is left untouched by every call."""
+    """The global random state is left untouched by every call.
+
+    Draw from self.np_random; fence in a library that insists on global state, and put its state back.
+    """
     script = subject.scripts[0]
     before = global_random_state()
     env = subject.new()
@@ -319,7 +413,7 @@ def global_random(subject: Subject) -> Iterator[str]:
     calls.append(("reset()", partial(subject.reset, env, script.seed)))
     for action in script.actions:
         calls.append(("sample_random_action()", partial(subject.sample, env)))
-        calls.append((step_label(action), partial(subject.step_fitted, env, action)))
+        calls.append((step_label(action), partial(subject.step, env, action)))
     calls.append(("close()", partial(subject.close, env)))
     for label, call in calls:
         with suppress(NotSupportedError, ResetNeededError):  # the end may come earlier if it is not deterministic
@@ -331,9 +425,12 @@ def global_random(subject: Subject) -> Iterator[str]:
         before = after
 
 
-@promise("call super().reset(seed=seed) first, and decide each episode only by what it then draws from self.np_random.")
+@promise
 def seed_stream(subject: Subject) -> Iterator[str]:
-    """reset(seed) starts a stream, reset() draws its next episode, and info["seed"] replays each alone."""
+    """reset(seed) starts a stream, reset() draws its next episode, and info["seed"] replays each alone.
+
+    Call super().reset(seed=seed) first, and decide each episode only by what it then draws from self.np_random.
+    """
     script, later = subject.scripts[0], subject.scripts[-1].actions
     env = subject.new()
     parts = [(script.seed, script.actions), (None, later), (None, later)]
@@ -356,13 +453,17 @@ def seed_stream(subject: Subject) -> Iterator[str]:
 # State.
 
 
-@promise("keep the state of an episode in self; override __deepcopy__ for what copy.deepcopy does not copy.")
+@promise
 def fork(subject: Subject) -> Iterator[str]:
-    """A fork in the middle of an episode goes on identically, and what it plays changes nothing in the first one."""
-    sampling = subject.can_sample()
-    for number, (script, expected) in enumerate(subject.references):
+    """A fork in the middle of an episode goes on identically, and what it plays changes nothing in the first one.
+
+    Keep the state of an episode in self; override __deepcopy__ for what copy.deepcopy does not copy.
+    """
+    references, sampling = subject.references, subject.can_sample()
+    for number, (script, expected) in enumerate(references):
         between = subject.scripts[number - 1]
-        for steps in subject.cuts(script):
+        last = max(len(script.actions) - 1, 0)
+        for steps in sorted({0, last // 2, last}):
             env = subject.new()
             before = list(subject.play_from(env, script.seed, script.actions[:steps]))
             if sampling:
@@ -401,9 +502,12 @@ def _forked(subject: Subject, env: AnyEnv) -> AnyEnv:
 # Actions.
 
 
-@promise("override sample_random_action, and return text that the task understands in its present state.")
+@promise
 def valid_sample(subject: Subject) -> Iterator[str]:
-    """A random action can be sampled at every turn, and is a valid one."""
+    """A random action can be sampled at every turn, and is a valid one.
+
+    Override sample_random_action, and return text that the task understands in its present state.
+    """
     subject.need_episodes()
     env = subject.new()
     for seed in subject.seeds[:-1]:
@@ -414,27 +518,26 @@ def valid_sample(subject: Subject) -> Iterator[str]:
             except SamplingNotSupported as error:
                 yield f"SamplingNotSupported: {error}"
                 return
-            for seat, text in responses(action).items():
-                if not isinstance(text, str) or not spaces_of(env, seat)[1].contains(text):
-                    of = f" of {seat!r}" if seat else ""
-                    yield f"sample_random_action(){of} returned {shown(text)}, which is no action"
-                    return
+            if not isinstance(action, str) or not env.action_space.contains(action):
+                yield f"sample_random_action() returned {shown(action)}, which is no action"
+                return
             result = subject.step(env, action)
-            for where, seen, _ in split(env, step_label(action), result):
-                # One of several agents may be told of its action later, when it acts again.
-                if seen[-1].get("parsed_action", "") is None:
-                    yield f"a sampled action was not understood: {where} gave info['parsed_action'] = None"
+            if result[-1].get("parsed_action", "") is None:
+                yield f"a sampled action was not understood: {step_label(action)} gave info['parsed_action'] = None"
             if result[2] or result[3]:
                 break
 
 
-@promise("draw sampled actions from self.action_random, and change nothing else.")
+@promise
 def action_sampling(subject: Subject) -> Iterator[str]:
-    """Sampling actions changes nothing of the episode, and the same seed samples the same actions."""
+    """Sampling actions changes nothing of the episode, and the same seed samples the same actions.
+
+    Draw sampled actions from self.action_random, and change nothing else.
+    """
     subject.need_episodes()
     if not subject.can_sample():
         raise NotTriedError("it gives no random actions; see 'valid-sample'")
-    samples: list[list[Action]] = []
+    samples: list[list[str]] = []
     for script, expected in [subject.references[0], *subject.references]:
         env = subject.new()
         found: list[PlainResult] = []
@@ -449,13 +552,16 @@ def action_sampling(subject: Subject) -> Iterator[str]:
         yield f"the same seed sampled {shown(samples[0][:5])}, and a second time {shown(samples[1][:5])}"
 
 
-@promise("treat what cannot be read as a wrong answer: an observation, a reward, no exception, in bounded time.")
+@promise
 def hostile_actions_(subject: Subject) -> Iterator[str]:
-    """Any string at all gives an observation and a reward in bounded time, and the episode goes on."""
+    """Any string at all gives an observation and a reward in bounded time, and the episode goes on.
+
+    Treat what cannot be read as a wrong answer: an observation, a reward, no exception, in bounded time.
+    """
     subject.need_episodes()
     # A time limit here does not hold against a regular expression, which lets no other thread run, and a crash would
     # take the check along. What blocks on input and output may need what only this process has.
-    if getattr(subject.new().unwrapped, "concurrency", None) not in ("thread", "async"):
+    if getattr(subject.bare(), "concurrency", None) not in ("thread", "async"):
         try:
             yield from subject.elsewhere(_answers_hostile_text)
         except NotTriedError:
@@ -466,44 +572,25 @@ def hostile_actions_(subject: Subject) -> Iterator[str]:
 
 
 def _answers_hostile_text(subject: Subject) -> Iterator[str]:
-    env = subject.new()
-
-    def comes_to_act(seat: str, *, over: bool, seed: int) -> bool:
-        label = f"playing until {seat!r} acts" if seat else "reset()"
-        return bool(subject.called(label, approach, env, seat, over=over, seed=seed))
-
-    over, seats = True, []
-    for seat in seats_of(env):
-        if comes_to_act(seat, over=True, seed=subject.limits.seed):
-            seats.append(seat)
-        else:
-            subject.notes.append(f"hostile-actions: {seat!r} was not tried, since it never came to act")
+    env, over = subject.new(), True
     for number, text in enumerate(hostile_actions(seed=subject.limits.seed)):
-        for seat in seats:
-            if not comes_to_act(seat, over=over, seed=number):
-                over = True
-                continue
-            action = say_as(env, seat, text)
-            try:
-                result = subject.step(env, action)
-            except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code, and no error is allowed
-                yield f"{step_label(action)} raised {subject.told(error)}"
-                env, over = subject.new(), True
-                continue
-            over = bool(result[2] or result[3])
-            for where, seen, space in split(env, step_label(action), result):
-                yield from (f"{where} gave {problem}" for problem in _hostile_problems(space, seen))
+        if over:
+            subject.reset(env, number)
+        try:
+            result = subject.step(env, text)
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - third-party code, and no error is allowed
+            yield f"{step_label(text)} raised {subject.told(error)}"
+            env, over = subject.new(), True
+            continue
+        over = bool(result[2] or result[3])
+        for problem in _problems_of(env.observation_space, result):
+            yield f"{step_label(text)} gave {problem}"
+        if (loss := json_loss(result[-1])) is not None:
+            yield f"{step_label(text)} gave an info that JSON cannot keep: {loss}"
+        elif result[-1].get("error") is not None:
+            error_told = shown(result[-1]["error"])
+            yield f"{step_label(text)} gave the error {error_told}; what an action causes is the agent's"
     # After hostile actions, the next episode must be the same as ever.
     if subject.recorded is not None:
         alone, after = (list(subject.play(each, subject.scripts[0])) for each in (subject.new(), env))
         yield from differences("the episode after all of them differs", alone, after)
-
-
-def _hostile_problems(space: Any, result: Any) -> Iterator[str]:
-    yield from problems_of(space, result)
-    info = result[-1]
-    loss = json_loss(info)
-    if loss is not None:
-        yield f"an info that JSON cannot keep: {loss}"
-    elif info.get("error") is not None:
-        yield f"the error {shown(info['error'])}; what an action causes is the agent's"

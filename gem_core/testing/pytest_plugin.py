@@ -115,7 +115,7 @@ class EnvItem(pytest.Item):
     def runtest(self) -> None:
         """Try every promise of the contract."""
         from gem_core.errors import MissingRequirementError
-        from gem_core.testing.conformance import check_env
+        from gem_core.testing.env_check import check_env
 
         if self.message:
             pytest.fail(self.message, pytrace=False)

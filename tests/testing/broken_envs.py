@@ -10,14 +10,16 @@ import threading
 from collections.abc import Callable
 from typing import Any, ClassVar
 
+from joint_toys import AuctionEnv
 from reference_envs import GoodEnv
 
+from gem_core import AgentSelector, EnvSpec
 from gem_core.env.guard import Guard
 from gem_core.env.spaces import Text
 from gem_core.env.wrapper import Wrapper
 from gem_core.errors import ResetNeededError
 
-BROKEN: dict[Callable[[], Any], tuple[set[str], set[str]]] = {}
+BROKEN: dict[Any, tuple[set[str], set[str]]] = {}
 """What makes each environment, the promises that it breaks, and those that it may break beside."""
 
 
@@ -46,14 +48,6 @@ class RaisingEnv(GoodEnv):
 
     def answer_to(self, number: int) -> Any:
         return super().step(str(number))
-
-
-@breaks("episode", "gymnasium")
-class NoOptionsEnv(GoodEnv):
-    """Its reset takes no options."""
-
-    def reset(self, seed: int | None = None) -> Any:  # type: ignore[override]
-        return super().reset(seed)
 
 
 @breaks("episode")
@@ -88,16 +82,7 @@ class UniqueSpaceEnv(GoodEnv):
         self.observation_space = _UniqueText()
 
 
-@breaks("types", "hostile-actions")
-class BothFlagsEnv(GoodEnv):
-    """It ends with both flags."""
-
-    def step(self, action: str) -> Any:
-        observation, reward, terminated, _, info = super().step(action)
-        return observation, reward, terminated, terminated, info
-
-
-@breaks("info-json")
+@breaks("info")
 class TupleInfoEnv(GoodEnv):
     """Its first info holds a tuple."""
 
@@ -106,7 +91,7 @@ class TupleInfoEnv(GoodEnv):
         return observation, {**info, "range": (1, self.limit)}
 
 
-@breaks("info-keys")
+@breaks("info")
 class WordyCorrectEnv(GoodEnv):
     """It says in words whether the answer was correct."""
 
@@ -270,6 +255,65 @@ class ForgetfulForkEnv(GoodEnv):
         other = super().__deepcopy__(memo)
         other.guesses = []
         return other
+
+
+# Environments of several agents.
+
+
+class Bids(AuctionEnv):
+    """An auction of three agents that keeps every promise."""
+
+    def __init__(self) -> None:
+        super().__init__(["red", "green", "blue"], rounds=6)
+
+
+breaks("seats")(EnvSpec(id="check:Seats-v0", entry_point=Bids, seats=("red", "green")))
+
+
+@breaks("reasoning")
+class ClosedBlocksEnv(Bids):
+    """It takes out thinking between two tags, and forgets that a template may open the block."""
+
+    def begin_episode(self, options: dict[str, Any] | None) -> None:
+        super().begin_episode(options)
+        self.said = ""
+
+    def process_actions(self, actions: dict[str, str]) -> Any:
+        self.said = " ".join(re.sub("(?s)<think>.{,99}(</think>|$)", "", action[:60]) for action in actions.values())
+        return super().process_actions(actions)
+
+    def observe(self, agent: str) -> str:
+        return f"{super().observe(agent)}. Said: {self.said}"
+
+
+@breaks("types", "hostile-actions")
+class PartsForGreenEnv(Bids):
+    """It shows one agent content parts, which are not in that one's space."""
+
+    def observe(self, agent: str) -> Any:
+        text = super().observe(agent)
+        return [{"type": "text", "text": text}] if agent == "green" else text
+
+
+@breaks("interleaving")
+class SharedSelectorEnv(Bids):
+    """All instances have one selector, as one has who makes it in the body of the class."""
+
+    shared_selector = AgentSelector(["red", "green", "blue"])
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.agent_selector = self.shared_selector
+
+
+@breaks("hostile-actions")
+class BlueDigitsEnv(Bids):
+    """It believes, of the last agent alone, that what isdigit() is a number."""
+
+    def process_actions(self, actions: dict[str, str]) -> Any:
+        if actions.get("blue", "").isdigit():
+            int(actions["blue"])
+        return super().process_actions(actions)
 
 
 # Not in the table: these need more than check_env(maker).

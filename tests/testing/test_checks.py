@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint
-
 import pydantic
 import pytest
 
 import gem_core as gem
-from gem_core.errors import UnknownPluginError
-from gem_core.testing import CheckError, ContractError, check_plugin, check_tool, check_wrapper, plugin_check
+from gem_core.testing import CheckError, ContractError, check_plugin, check_tool, check_wrapper
 from gem_core.wrappers.episode_stats import EpisodeStats
 from gem_core.wrappers.turn_limit import TurnLimit
 from gem_core.wrappers.views import Concat, ConcatWithAction, Latest
@@ -158,23 +155,7 @@ def test_broken_promise_of_a_wrapper_is_named(wrapper, error: type[Exception], p
     assert part in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["games", "gem-games", "gem_games", "gem_games._plugin"])
-def test_plugin_is_found_by_each_of_its_names(name: str) -> None:
-    """Entry point, distribution, package and module."""
-    pytest.importorskip("gem_games")
-    assert plugin_check.find_plugin(name).name == "games"
-
-
 def test_good_plugin_passes() -> None:
     """The games declare only, and all that they declare is there."""
     pytest.importorskip("gem_games")
     assert len(check_plugin("games")) == 6
-
-
-def test_unknown_plugin_names_the_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the nearest, and how to install one's own."""
-    points = [EntryPoint("games", "gem_games._plugin", "gem.plugins")]
-    monkeypatch.setattr(plugin_check, "entry_points", lambda group: points)
-    with pytest.raises(UnknownPluginError) as caught:
-        check_plugin("gmes")
-    assert "'gmes'. Did you mean 'games'? Installed: games." in str(caught.value)

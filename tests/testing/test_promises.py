@@ -12,53 +12,35 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import numpy as np
 import pytest
-from broken_envs import BROKEN, BacktrackingEnv, DyingEnv, NullHangsEnv, OtherProcessEnv, RaisingEnv, UnrepeatableEnv
+from broken_envs import (
+    BROKEN,
+    BacktrackingEnv,
+    Bids,
+    DyingEnv,
+    NullHangsEnv,
+    OtherProcessEnv,
+    RaisingEnv,
+    UnrepeatableEnv,
+)
+from joint_toys import AuctionEnv, CountdownEnv
 from reference_envs import CountingWrapper, GoodAsyncEnv, GoodEnv, PictureEnv, ReverseStringEnv, ThreadEnv
 
-from gem_core import register
+from gem_core import EnvSpec, make, register
 from gem_core.env.guard import Guard
-from gem_core.errors import ArgumentError, GemError, UnknownEnvError
+from gem_core.errors import ArgumentError
 from gem_core.testing import ContractError, check_env
-from gem_core.testing.conformance import promises_for
-from gem_core.testing.contract import PROMISES
+from gem_core.testing.promises import OF_ONE, OF_SEVERAL, PROMISES
 
-OF_ONE = {promise.slug for promise in promises_for(several=False)}
+ALL = set(PROMISES)
+SHORT = EnvSpec(id="check:Countdown-v0", entry_point=CountdownEnv, seats=("first", "second"), max_turns=3)
+register("check:Good-v0", GoodEnv, limit=7)
 
 
 def broken_by(target: Any, **options: Any) -> dict[str, str]:
     with pytest.raises(ContractError) as caught:
         check_env(target, **options)
     return dict(caught.value.report.broken)
-
-
-@pytest.mark.parametrize(
-    "target",
-    [GoodEnv, GoodAsyncEnv, ThreadEnv, GoodEnv(limit=3, max_turns=1), CountingWrapper(GoodEnv(limit=5), step=2)],
-    ids=lambda target: getattr(target, "__name__", type(target).__name__),
-)
-def test_good_environment_keeps_every_promise(target: Any) -> None:
-    """Plain, asynchronous, blocking, with arguments and wrapped: nothing is broken and nothing left out."""
-    report = check_env(target)
-    assert set(report.kept) == OF_ONE
-    assert report.skipped == {}
-    assert report.notes == ()
-
-
-@pytest.mark.few(12)
-@pytest.mark.parametrize("maker", BROKEN, ids=lambda maker: maker.__name__)
-def test_broken_promise_is_named(maker: Any) -> None:
-    """Exactly the promises that an environment breaks are named, in one line each."""
-    breaks, may_break = BROKEN[maker]
-    with pytest.raises(ContractError) as caught:
-        check_env(maker)
-    report = caught.value.report
-    assert breaks <= set(report.broken) <= breaks | may_break
-    lines = str(caught.value).splitlines()
-    assert [line.split(":")[0].strip() for line in lines[1:] if not line.startswith(("  not", "  note"))] == [
-        *report.broken
-    ]
 
 
 def test_a_step_that_raises_is_said_first_with_its_place() -> None:
@@ -71,17 +53,6 @@ def test_a_step_that_raises_is_said_first_with_its_place() -> None:
     assert "step('') raised ValueError" in raised
     assert f"broken_envs.py:{line})" in raised
     assert untried.startswith("  not tried, types, ")
-
-
-def test_every_promise_can_be_broken() -> None:
-    """For each promise, some environment of these tests breaks it."""
-    assert set().union(*(slugs for slugs, _ in BROKEN.values())) == OF_ONE
-
-
-def test_every_promise_says_what_it_is_and_how_to_mend_it() -> None:
-    for promise in PROMISES.values():
-        assert promise.sentence.endswith(".")
-        assert promise.mend.endswith(".")
 
 
 def test_paper_listing_breaks_what_it_breaks() -> None:
@@ -103,6 +74,73 @@ def test_what_cannot_be_forked_is_skipped() -> None:
             self.lock = threading.Lock()
 
     assert "cannot pickle '_thread.lock' object" in check_env(Locked).skipped["fork"]
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        "check:Good-v0",
+        GoodAsyncEnv,
+        ThreadEnv,
+        PictureEnv,
+        CountingWrapper(gymnasium.wrappers.TransformReward(Guard(GoodEnv(limit=5)), float), step=2),
+    ],
+    ids=lambda target: getattr(target, "__name__", str(target)[:20]),
+)
+def test_good_environment_keeps_every_promise(target: Any) -> None:
+    """By id, asynchronous, blocking, with images, and wrapped: nothing is broken and nothing left out."""
+    random_state = random.getstate()
+    report = check_env(target)
+    assert set(report.kept) == ALL - {*OF_SEVERAL}
+    assert (report.skipped, report.notes) == ({}, ())
+    assert random.getstate() == random_state
+
+
+@pytest.mark.parametrize(
+    "target",
+    [Bids, AuctionEnv(["a", "b"], mode="parallel", rounds=7), make(SHORT, wrappers={"second": "concat,episode_stats"})],
+    ids=["in turn", "at once", "wrapped"],
+)
+def test_good_environment_of_several_agents_keeps_every_promise(target: Any) -> None:
+    """At each seat. An auction has no right answer, and does not say so."""
+    report = check_env(target)
+    assert set(report.kept) == ALL - {*OF_ONE}
+    assert report.skipped == {}
+    assert all(note.startswith("info: ") for note in report.notes)
+
+
+@pytest.mark.few(12)
+@pytest.mark.parametrize("maker", BROKEN, ids=lambda maker: getattr(maker, "__name__", "record"))
+def test_broken_promise_is_named(maker: Any) -> None:
+    """Exactly the promises that an environment breaks are named, in one line each."""
+    breaks, may_break = BROKEN[maker]
+    with pytest.raises(ContractError) as caught:
+        check_env(maker, skip={} if "hostile-actions" in breaks else {"hostile-actions": "it takes longest"})
+    broken = caught.value.report.broken
+    assert breaks <= set(broken) <= breaks | may_break
+    lines = str(caught.value).splitlines()[1:]
+    assert [line.split(":")[0].strip() for line in lines if not line.startswith(("  not", "  note"))] == [*broken]
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
+def test_every_promise_can_be_broken() -> None:
+    """For each promise, some environment of these tests breaks it, and the text says how to mend it."""
+    assert set().union(*(slugs for slugs, _ in BROKEN.values())) == ALL
+    for promise in PROMISES.values():
+        assert promise.sentence.endswith(".")
+        assert promise.mend.endswith(".")
+
+
+def test_seat_that_never_acts_is_noted() -> None:
+    """The others are tried."""
+
+    class Quiet(Bids):
+        def begin_episode(self, options: Any) -> None:
+            super().begin_episode(options)
+            self.agents = ["red", "green"]
+
+    (note,) = (note for note in check_env(Quiet).notes if not note.startswith("info: "))
+    assert note.startswith("the seat 'blue' was not tried: ")
 
 
 @pytest.mark.few(2)
@@ -128,27 +166,6 @@ def test_strings_hash_differently_there(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *sys.path]))
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert "  process-determinism: " in done.stderr
-
-
-class EnvOfATest(GoodEnv):
-    """In a module that only pytest can import by its name, with ``--import-mode=importlib``."""
-
-
-def test_class_of_a_test_is_tried_there_too() -> None:
-    """It is sent by value."""
-    assert "process-determinism" in check_env(EnvOfATest).kept
-
-
-def test_arguments_that_cannot_be_pickled_are_a_reason_to_skip() -> None:
-    report = check_env(OtherProcessEnv(os.getpid(), threading.Lock()))  # type: ignore[arg-type]
-    assert set(report.skipped) == {"process-determinism", "fork"}
-    assert "hostile-actions" in report.kept
-
-
-def test_environment_by_id_keeps_its_promises_in_another_process_too() -> None:
-    """An id that only this process registered is handed over by its entry point."""
-    register("check:Good-v0", GoodEnv, limit=7)
-    assert set(check_env("check:Good-v0").kept) == OF_ONE
 
 
 def test_nondeterministic_environment_is_not_asked_to_repeat() -> None:
@@ -187,35 +204,9 @@ def test_given_instance_is_left_alone() -> None:
     assert env.step("x") == other.step("x")
 
 
-def test_global_random_state_survives_the_check() -> None:
-    """The checks scramble the global generators, also for an environment that draws from them."""
-    before, numpy_before = random.getstate(), np.random.get_state()[1].tolist()
-    broken_by(ReverseStringEnv)
-    assert random.getstate() == before
-    assert np.random.get_state()[1].tolist() == numpy_before
-
-
-def test_no_thread_is_left_behind() -> None:
-    before = {thread for thread in threading.enumerate() if thread.name == "gem-check"}
-    check_env(GoodEnv)
-    assert {thread for thread in threading.enumerate() if thread.name == "gem-check"} <= before
-
-
-def test_skipped_promise_keeps_its_reason() -> None:
-    report = check_env(GoodEnv, skip={"hostile-actions": "costs money"})
-    assert dict(report.skipped) == {"hostile-actions": "costs money"}
-    assert "not tried, hostile-actions: costs money" in str(report)
-
-
 def test_unknown_promise_cannot_be_skipped() -> None:
     with pytest.raises(ArgumentError, match="'determinism'"):
         check_env(GoodEnv, skip={"determinsm": "typo"})
-
-
-def test_unknown_id_stays_what_it_is() -> None:
-    """What cannot be made for a reason outside the environment is no broken promise."""
-    with pytest.raises(UnknownEnvError):
-        check_env("check:NoSuch-v0")
 
 
 def test_foreign_environment_is_refused() -> None:
@@ -223,43 +214,9 @@ def test_foreign_environment_is_refused() -> None:
         check_env(lambda: gymnasium.make("CartPole-v1"))
 
 
-class UngradedEnv(GoodEnv):
-    """It never says whether an answer was right."""
-
-    def step(self, action: str) -> Any:
-        *result, info = super().step(action)
-        return *result, {key: value for key, value in info.items() if key != "correct"}
-
-
-def test_an_environment_that_never_says_correct_gets_a_note() -> None:
-    """Success is unknown there, which may be meant."""
-    (note,) = check_env(UngradedEnv).notes
-    assert note.startswith("info-keys: ")
-
-
 def test_gymnasium_wrapper_outside_is_taken_off_and_noted() -> None:
     report = check_env(gymnasium.wrappers.TimeLimit(GoodEnv(), max_episode_steps=3))
     assert report.notes == ("checked inside Gymnasium's TimeLimit, which has none of GEM's methods",)
-
-
-def test_gymnasium_wrapper_within_is_checked() -> None:
-    """Its fork too."""
-    target = CountingWrapper(gymnasium.wrappers.TransformReward(Guard(GoodEnv(limit=5)), float))
-    assert "fork" in check_env(target).kept
-
-
-def test_images_in_observations_and_info_are_compared() -> None:
-    """Content parts with pictures keep every promise."""
-    pytest.importorskip("PIL")
-    assert set(check_env(PictureEnv).kept) == OF_ONE
-
-
-def test_contract_error_is_an_assertion_and_survives_pickling() -> None:
-    with pytest.raises(AssertionError) as caught:
-        check_env(ReverseStringEnv)
-    assert isinstance(caught.value, GemError)
-    again = pickle.loads(pickle.dumps(caught.value))
-    assert str(again) == str(caught.value)
 
 
 def test_importing_the_checks_needs_no_test_library() -> None:
