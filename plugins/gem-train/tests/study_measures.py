@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import threading
 from typing import Any
 
 
@@ -12,11 +10,3 @@ def double(number: int) -> dict[str, Any]:
     if number == 3:
         raise ValueError("three")
     return {"double": 2 * number}
-
-
-def wait_forever() -> dict[str, Any]:
-    """Say so, and never return."""
-    sys.stdout.write("measuring\n")
-    sys.stdout.flush()
-    threading.Event().wait()
-    return {}

@@ -6,8 +6,6 @@ import asyncio
 import threading
 from typing import Any
 
-import pytest
-
 from gem_train.adapters import BatchedEngine, Generated
 
 
@@ -33,13 +31,6 @@ def answered(requests: int, **options: Any) -> tuple[list[Any], list[int]]:
     return asyncio.run(run()), sizes
 
 
-def test_requests_that_come_together_are_one_batch() -> None:
-    """Each has its own prompt, sampling and answer."""
-    found, sizes = answered(5, most=8)
-    assert [one.token_ids for one in found] == [[number, number + 10] for number in range(5)]
-    assert sizes == [5]
-
-
 def test_no_batch_is_larger_than_most() -> None:
     """The rest is the next one."""
     found, sizes = answered(5, most=2)
@@ -53,25 +44,3 @@ def test_failure_is_raised_at_every_request_of_the_batch() -> None:
     assert [str(one) for one in found] == ["out of memory"] * 3
     found, _ = answered(3, most=8, answers=2)
     assert [str(one) for one in found] == ["the engine gave 2 answers to 3 prompts"] * 3
-
-
-def test_abandoned_request_does_not_spoil_its_batch() -> None:
-    """An episode may be given up while its batch is answered."""
-    begun, go_on = threading.Event(), threading.Event()
-
-    def ask(prompts: list[list[int]], samplings: list[dict[str, Any]]) -> list[Generated]:
-        begun.set()
-        go_on.wait(30)
-        return [Generated(prompt) for prompt in prompts]
-
-    async def run() -> Generated:
-        engine = BatchedEngine(ask, most=2)
-        first, second = (asyncio.create_task(engine([number])) for number in (1, 2))
-        await asyncio.to_thread(begun.wait, 30)
-        first.cancel()
-        go_on.set()
-        with pytest.raises(asyncio.CancelledError):
-            await first
-        return await second
-
-    assert asyncio.run(run()).token_ids == [2]

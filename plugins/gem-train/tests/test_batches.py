@@ -41,32 +41,6 @@ def test_each_turn_is_a_row() -> None:
     assert_array_equal(batch.episode_returns, [1.25, 0.5])
 
 
-def test_dtypes_are_as_documented() -> None:
-    """Also where there is nothing at all."""
-    empty = TokenBatch.from_turns([], [], episode=[], rewards=[], terminated=[True, False])
-    assert (empty.tokens.shape, empty.rewards.shape) == ((0, 0), (2, 0))
-    assert empty.to_tokens(empty.rewards).shape == (0, 0)
-    for batch in (three_turns(), empty):
-        for name in ("tokens", "lengths", "episode", "turn", "groups"):
-            assert getattr(batch, name).dtype == np.int64
-        for name in ("token_mask", "loss_mask", "mask", "learnable", "terminated", "truncated"):
-            assert getattr(batch, name).dtype == np.bool_
-        assert batch.logprobs.dtype == np.float32
-        for name in ("rewards", "success", "first_rewards", "episode_returns"):
-            assert getattr(batch, name).dtype == np.float64
-
-
-def test_arrays_and_lists_give_the_same_batch() -> None:
-    """Ids and log-probabilities may come as arrays."""
-    arrays = three_turns(
-        contexts=[np.array([1, 2]), np.array([3]), np.array([1, 5])],
-        responses=[np.array([7]), np.array([8, 9]), np.array([7])],
-        logprobs=[np.array([-1.0], np.float32), None, np.array([-0.5])],
-    )
-    for name, value in vars(three_turns()).items():
-        assert_array_equal(getattr(arrays, name), value)
-
-
 def test_turns_are_spread_over_their_tokens() -> None:
     """All of them, or the last one; a wrong shape is refused."""
     batch = three_turns(row=[0, 0, 1])

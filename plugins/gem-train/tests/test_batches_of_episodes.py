@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -67,15 +66,6 @@ def test_an_append_only_view_keeps_the_sampled_ids(prompts: bool, ends: bool) ->
     assert not batch.logprobs[~batch.token_mask].any()
 
 
-def test_no_sampled_text_is_tokenized() -> None:
-    """Only the first prompt, and what the environment wrote after each response."""
-    (episode,) = played(SpellingAgent("mine"), chat(), episodes=1)
-    tokenizer = Spelling()
-    batches([episode], form="trajectories", tokenizer=tokenizer)
-    assert len(tokenizer.encoded) == episode.turns
-    assert not any("mine" in text for text in tokenizer.encoded)
-
-
 @pytest.mark.parametrize("options", [{"max_turns": 1}, {"drop_thinking": True}])
 def test_a_view_that_is_not_append_only_is_split(options: dict[str, Any]) -> None:
     """Where the next prompt does not begin with the tokens so far, a new row begins with it."""
@@ -90,40 +80,6 @@ def test_a_view_that_is_not_append_only_is_split(options: dict[str, Any]) -> Non
             turns.pop(0)  # of the same row
         episode, number = turns.pop(0)
         assert Spelling().decode(row) == f"{episode.sent(number)}{episode.transitions[number].action}{chr(END)}"
-
-
-def test_prompts_that_were_reported_decide_where_a_row_is_split() -> None:
-    """The server tokenized the conversation anew in the third turn, for once; its text would have gone on."""
-    (episode,) = played(SpellingAgent(prompts=True), chat(), episodes=1)
-    prompt = episode.transitions[2].action.prompt_token_ids
-    assert prompt is not None
-    changed = next(place for place, token in enumerate(prompt) if token > 128)
-    prompt[changed] = ord(Spelling().decode([prompt[changed]]))
-    batch = batches([episode], form="trajectories")
-    assert [sorted(set(turns[turns >= 0].tolist())) for turns in batch.turn] == [[0, 1], [2], [3]]
-    assert rows_of(batch)[1][: len(prompt)] == prompt
-
-
-def test_a_transition_is_what_the_model_was_sent_and_its_response() -> None:
-    """One row a turn; the earlier turns stand in it in the spelling that was sampled."""
-    episodes = played(SpellingAgent(prompts=True), chat())
-    batch = batches(episodes)
-    actions = [turn.action for one in episodes for turn in one.transitions]
-    assert rows_of(batch) == [[*(one.prompt_token_ids or ()), *(one.token_ids or ())] for one in actions]
-    assert marked(batch) == sampled(episodes)
-    assert batch.turn.max(axis=1).tolist() == [number for one in episodes for number in range(one.turns)]
-    without = played(SpellingAgent(), chat())
-    assert rows_of(batches(without, tokenizer=Spelling())) == rows_of(batch)
-
-
-def test_a_function_tokenizes_what_a_scripted_agent_wrote() -> None:
-    """Nothing is known of sampling, so the log-probabilities are not."""
-    episodes = played("random")
-    batch = batches(episodes, tokenizer=lambda text: list(text.encode()))
-    turns = [(one.sent(number), turn.action) for one in episodes for number, turn in enumerate(one.transitions)]
-    assert [bytes(row).decode() for row in rows_of(batch)] == [f"{sent}{action}" for sent, action in turns]
-    assert np.isnan(batch.logprobs[batch.token_mask]).all()
-    assert batch.learnable.sum() == len(turns)
 
 
 def test_messages_are_written_by_the_chat_template() -> None:
@@ -171,12 +127,3 @@ def test_sampled_native_calls_stay_as_they_are() -> None:
     assert Spelling().decode(row).startswith("<1 tools><user>Guess")
     assert Spelling().decode(row).count(f"<assistant>Hint?{{}}{chr(END)}\n<tool>Between 1 and 10.") == 3
     assert batch.learnable.all()
-
-
-def test_episodes_of_a_file_give_the_same_batch(tmp_path: Path) -> None:
-    """All that is needed is in the record."""
-    episodes = played(SpellingAgent(prompts=True), chat())
-    gem.write_episodes(tmp_path / "run.jsonl", episodes)
-    read = batches(gem.read_episodes(tmp_path / "run.jsonl"))
-    for name, value in vars(batches(episodes)).items():
-        assert_array_equal(getattr(read, name), value)

@@ -14,7 +14,7 @@ from spelling import END, Spelling
 
 import gem_core as gem
 from gem_core.errors import ArgumentError
-from gem_core.records import Episode, JointEpisode, Transition
+from gem_core.records import Episode, Transition
 from gem_train import batches
 from gem_train.tokens import completions
 
@@ -100,24 +100,6 @@ def test_states_compare_images_by_their_pixels() -> None:
     assert_array_equal(batches([episode(*(turn(observation=each) for each in shown))]).states, [[0, 0, 1]])
 
 
-def test_seats_are_episodes_of_their_own() -> None:
-    """Each with its role, what it earned before it acted, and groups of those who begin alike."""
-    plan = [gem.PlanItem(repeat=2) for _ in range(6)]
-    played = list(gem.rollout("game:KuhnPoker-v0", agents="random", plan=plan, seed=0))
-    batch = batches(played, tokenizer=lambda text: list(text.encode()))
-    seats = [one for joint in played for one in joint]
-    assert all(isinstance(joint, JointEpisode) for joint in played)
-    assert batch.seats == [one.seat for one in seats]
-    assert set(batch.seats) == {"first", "second"}
-    assert_array_equal(batch.episode_returns, [one.episode_return for one in seats])
-    assert_array_equal(batch.mask.sum(axis=1), [one.turns for one in seats])
-    members: dict[int, list[tuple[Any, ...]]] = {}
-    for group, one in zip(batch.groups.tolist(), seats, strict=True):
-        members.setdefault(group, []).append((one.group, one.seat))
-    assert all(len(set(each)) == 1 for each in members.values())
-    assert len(members) == len({(one.group, one.seat) for one in seats})
-
-
 def test_thinking_that_a_server_took_out_is_not_learnable() -> None:
     """Nor native calls: the text alone is not what was sampled. With their ids, they are."""
     calls = [{"id": "c", "type": "function", "function": {"name": "note", "arguments": "{}"}}]
@@ -130,12 +112,6 @@ def test_thinking_that_a_server_took_out_is_not_learnable() -> None:
         assert batch.learnable.tolist() == [[False, True, True]]
         assert batch.tokens[0].tolist()[: batch.lengths[0]] == [ord("Q"), ord("a")]  # not ended: more followed
         assert batch.tokens[2].tolist()[: batch.lengths[2]] == [ord("Q"), ord("a"), END]
-
-
-def test_log_probabilities_of_tokens_that_are_not_known_are_left_out() -> None:
-    """Servers of the OpenAI API report them without ids."""
-    batch = batches([episode(turn(gem.Response("ab", logprobs=[-1.0])))], tokenizer=Spelling())
-    assert np.isnan(batch.logprobs[batch.token_mask]).all()
 
 
 def test_text_that_no_tokenizer_takes_is_tokenized_as_replacement() -> None:
@@ -170,11 +146,6 @@ def test_what_cannot_be_made_is_refused(second: Transition, options: dict[str, A
     """With the turn, and what to do."""
     with pytest.raises(ArgumentError, match=value):
         batches([episode(turn(), second)], **options)
-
-
-def test_images_whose_prompts_were_reported_are_no_hindrance() -> None:
-    """The ids are used as they are."""
-    assert batches([episode(turn(observation=PICTURE))]).tokens.tolist() == [[1, 7, 8]]
 
 
 ids = st.lists(st.integers(0, 9), max_size=3)

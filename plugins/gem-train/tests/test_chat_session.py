@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from types import SimpleNamespace
 from typing import Any
 
 import pydantic
@@ -13,6 +14,7 @@ import gem_core as gem
 from gem_core.env import Wrapper
 from gem_core.errors import ArgumentError, EnvFaultError, NotSupportedError, ResetNeededError
 from gem_train import ChatSession
+from gem_train.adapters import images_as_urls
 
 GUESS = "game:GuessTheNumber-v0-easy"
 
@@ -89,13 +91,6 @@ def test_messages_are_appended_and_rewards_are_kept():
         assert (session.episode.seed, session.episode.options) == (5, {"index": 7})
 
 
-def test_system_text_of_the_trainer_replaces_the_tasks():
-    """It takes its place."""
-    session = ChatSession(CountEnv(), system="You are brief.")
-    assert session.reset_sync()[0] == {"role": "system", "content": "You are brief."}
-    assert session.step_sync("one").messages == [{"role": "user", "content": "Turn 1."}]
-
-
 def test_asynchronous_form_gives_the_same_episode():
     """``await reset`` and ``await step`` do what their plain forms do."""
 
@@ -114,25 +109,6 @@ def test_asynchronous_form_gives_the_same_episode():
         plain.step_sync("\\boxed{5}")
     assert asyncio.run(play(ChatSession(GUESS))) == plain.episode
     assert asyncio.run(first(ChatSession(CountEnv()))).endswith("row 7.")
-
-
-def test_same_seed_starts_the_same_task():
-    """A seed binds; without one, it is drawn and recorded, and starts the same task again."""
-    first, second = ChatSession(CountEnv()), ChatSession(CountEnv())
-    opening = first.reset_sync()
-    assert second.reset_sync(seed=first.episode.seed) == opening
-    assert first.reset_sync(seed=1) != opening
-
-
-def test_response_keeps_what_was_reported():
-    """Tokens stay with the record, and a response that was cut off is taken as it is, and said to be."""
-    session = ChatSession(GUESS)
-    session.reset_sync(seed=0)
-    step = session.step_sync(gem.Response("I think", token_ids=[4, 5], logprobs=[-0.5, -0.1], finish_reason="length"))
-    assert step.terminated  # a response that nothing can be read of ends this game
-    assert session.episode.transitions[0].action.token_ids == [4, 5]
-    assert session.episode.cut_off == "tokens"
-    assert session.success is False
 
 
 def test_exception_in_step_is_an_error_and_no_loss():
@@ -239,17 +215,6 @@ def test_history_that_is_rewritten_is_refused():
         session.step_sync("one")
 
 
-def test_several_agents_are_refused_with_the_way_out():
-    """The error says how to take a seat; a seat works."""
-    with pytest.raises(ArgumentError, match="single_agent"):
-        ChatSession("game:TicTacToe-v0")
-    env = gem.make("game:TicTacToe-v0")
-    session = ChatSession(gem.single_agent("game:TicTacToe-v0", env.possible_agents[0], "random"))
-    assert session.reset_sync(seed=0)[0]["role"] in ("system", "user")
-    with pytest.raises(ArgumentError, match="made already"):
-        ChatSession(CountEnv(), max_turns=3)
-
-
 def test_cancelled_step_ends_the_episode():
     """Nobody knows what the environment did meanwhile."""
 
@@ -275,3 +240,14 @@ def test_cancelled_step_ends_the_episode():
     assert session.done
     with pytest.raises(ResetNeededError):
         session.step_sync("again")
+
+
+def test_images_become_data_urls():
+    """For messages that go through JSON."""
+    image = SimpleNamespace(save=lambda file, format: file.write(b"pixels"))
+    parts = [{"type": "text", "text": "Look."}, {"type": "image", "image": image}]
+    (message,) = images_as_urls([{"role": "user", "content": parts}])
+    assert message["content"] == [
+        parts[0],
+        {"type": "image_url", "image_url": {"url": "data:image/png;base64,cGl4ZWxz"}},
+    ]

@@ -75,25 +75,6 @@ def test_what_is_read_is_what_was_shown_and_said():
             assert last == "".join(turn.shown + turn.text for turn in turns[1:])
 
 
-def test_what_all_rows_begin_with_changes_nothing():
-    """It is computed once, and gives the log-probabilities and the gradient of rows scored one by one."""
-    learner = tiny_learner("arms:Four-v0", imitate_steps=3)
-    batch = batch_of(played_by(learner))
-    tokens, sampled = torch.from_numpy(batch.tokens), torch.from_numpy(batch.token_mask)
-    assert (tokens == tokens[0]).all(dim=0)[:2].all()
-
-    def gradient(parts: list[slice]) -> torch.Tensor:
-        learner.policy.zero_grad()
-        for part in parts:
-            scored = score(learner.policy, tokens[part], sampled[part])
-            (scored.logprobs.sum() + scored.entropy.sum() + scored.values.sum()).backward()
-        return torch.cat([each.grad.flatten() for each in learner.policy.parameters() if each.grad is not None])
-
-    together, apart = gradient([slice(None)]), gradient([slice(row, row + 1) for row in range(len(tokens))])
-    # A row by itself is all one beginning, up to its first response.
-    torch.testing.assert_close(together, apart, rtol=1e-4, atol=1e-4)
-
-
 def test_rows_that_begin_anew_are_sampled_from_the_same_distribution():
     """The frequencies of many rows alike, which are one state of the model, are the probabilities of a token."""
     learner = Learner(tiny(vocabulary=1), tiny_learner(imitate_steps=3).vocabulary)

@@ -14,17 +14,10 @@ import gem_core as gem
 from gem_train import batches
 from gem_train.learner.agent import CheckpointAgent
 from gem_train.learner.learning import Learner
-from gem_train.learner.playing import Played, groups_of, token_batch
+from gem_train.learner.playing import groups_of, token_batch
 from gem_train.learner.policy_loss import score
 from gem_train.learner.run import RunFolder
 from gem_train.learner.training import Training
-
-
-def test_a_group_is_of_one_start_and_one_seat():
-    """GRPO and RLOO do not compare a player with its opponent."""
-    played = [Played(slot, slot // 2, seat, "") for slot in range(4) for seat in ("first", "second")]
-    assert groups_of(played) == [0, 1, 0, 1, 2, 3, 2, 3]
-    assert groups_of([Played(slot, slot // 2, None, "") for slot in range(4)]) == [0, 0, 1, 1]
 
 
 def test_episodes_that_cannot_begin_move_no_group():
@@ -83,21 +76,6 @@ def test_an_environment_that_fails_leaves_its_episode_out():
     assert len({tuple(seat.error for seat in update.played) for update in updates}) > 1
 
 
-def test_a_group_is_of_one_environment_with_one_start():
-    """Also where several environments are learnt together; other groups and updates begin elsewhere."""
-    learner = learner_of_both_arms(algorithm="grpo", group_size=4, env=("arms:One-v0", "arms:Four-v0"), episodes=32)
-    with Training(learner) as training:
-        updates = [training.update().played for _ in range(2)]
-    for played in updates:
-        groups = [played[place : place + 4] for place in range(0, 32, 4)]
-        for number, group in enumerate(groups):
-            assert len({seat.turns[0].shown for seat in group}) == 1
-            assert {len(seat.turns) for seat in group} == {1 if number % 2 == 0 else 4}
-        assert len({group[0].turns[0].shown for group in groups}) > 1
-    starts = [[seat.turns[0].shown for seat in played] for played in updates]
-    assert starts[0] != starts[1]
-
-
 READINGS: dict[str, tuple[dict[str, Any], int]] = {
     "conversation": ({}, 6),
     "one earlier turn, and feedback alone": ({"memory": 1, "feedback": True}, 18),
@@ -141,11 +119,3 @@ def test_the_agent_repeats_itself_by_its_seed(tmp_path: Path):
 
     assert said() == said() != said(seed=1)
     assert len(set(said())) > len(set(said(temperature=0.0)))
-
-
-def test_an_agent_without_a_checkpoint_says_what_to_name(tmp_path: Path):
-    """The folder after the colon."""
-    with pytest.raises(gem.errors.ArgumentError, match=r"as train:runs/guess$"):
-        gem.rollout("arms:One-v0", "train", episodes=1).__next__()
-    with pytest.raises(gem.errors.ArgumentError, match="has no checkpoint of 'gem train'"):
-        CheckpointAgent(str(tmp_path))

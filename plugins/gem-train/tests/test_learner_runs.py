@@ -117,11 +117,6 @@ def test_what_lets_it_play_has_the_stack_of_the_run(gem_train: Any):
     assert caught.value.code == 0
 
 
-def test_nothing_is_imitated_where_asked(gem_train: Any):
-    assert gem_train(*SMALL, "--imitate", "none", "--out", "run").code == 0
-    assert json.loads(Path("run/options.json").read_text())["imitate"] is None
-
-
 def test_ctrl_c_says_how_to_go_on(gem_train: Any):
     """With a code of its own; here before the first update, so that the same run begins."""
     outcome = gem_train(*SMALL[:-6], "--imitate", "learner_envs:interrupts", "--out", "my run")
@@ -134,26 +129,6 @@ def test_episodes_with_an_error_are_told(gem_train: Any):
     outcome = gem_train("arms:Failing-v0", *SMALL[1:], "--out", "run")
     assert outcome.code == 1
     assert "had an error, and were left out" in outcome.err
-
-
-def test_each_environment_has_its_own_evaluation(gem_train: Any):
-    """Where several are learnt, and errors of an evaluation are told as well."""
-    ids = ("arms:One-v0", "arms:Failing-v0")
-    outcome = gem_train(*ids, *SMALL[1:], "--eval-env", ids[0], "--eval-env", ids[1], "--out", "run", "--json")
-    assert {f"eval/{env_id}/return" for env_id in ids} <= set(json.loads(outcome.out))
-    again = gem_train(*ids, *SMALL[1:], "--out", "other", "--json")
-    assert {f"eval/{env_id}/return" for env_id in ids} <= set(json.loads(again.out))
-    only_evaluated = gem_train(*SMALL, "--eval-env", ids[1], "--out", "third")
-    assert only_evaluated.code == 1
-    assert "had an error, and were left out" in only_evaluated.err
-
-
-def test_curves_that_a_kill_prevented_are_drawn_later(gem_train: Any):
-    """By the command that finds the run complete."""
-    gem_train(*SMALL, "--out", "run")
-    Path("run/curves.png").unlink()
-    assert gem_train("--resume", "run").code == 0
-    assert Path("run/curves.png").exists()
 
 
 WRONG = {

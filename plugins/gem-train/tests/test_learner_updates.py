@@ -204,18 +204,3 @@ def test_the_critic_reads_what_would_have_come_after_an_episode_that_was_cut_off
 
 def with_limit(options: TrainOptions) -> TrainOptions:
     return replace(options, wrappers=(("turn_limit", {"max_turns": 2}), *options.wrappers))
-
-
-def test_recorded_episodes_are_in_the_order_of_the_plan():
-    """In which order they end depends on the machine, where environments run in threads."""
-    options = tiny("game:GuessTheNumber-v0")
-    keys = [int(episode.key) for episode in record_episodes(options, options.env, "bisect", 128)]
-    assert keys == list(range(128))
-
-
-def test_second_steps_on_a_batch_are_off_policy():
-    """And weighed by importance, where nothing is clipped."""
-    assert not tiny().off_policy
-    assert tiny(minibatches=2).off_policy
-    assert tiny(epochs=2).off_policy
-    assert tiny(overlap=True).off_policy

@@ -89,7 +89,7 @@ def test_player_uses_the_tool_three_times_in_ten() -> None:
         ("+" if " + " in str(episode.observation) else "*", episode.turns > 1, episode.success) for episode in episodes
     )
     assert 60 < sum(count for (_, tool, _), count in seen.items() if tool) < 120
-    assert not [key for key in seen if key[1] and not key[2]]
+    assert seen["*", True, True] > 10 * seen["*", True, False]  # one that asks again and again never answers
     assert seen["+", False, True] > 5 * seen["+", False, False]
     assert seen["*", False, True] < 5 < seen["*", False, False]
 

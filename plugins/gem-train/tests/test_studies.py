@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -28,30 +25,6 @@ def test_runs_are_kept_and_not_made_again(tmp_path: Path) -> None:
     kept = [{"number": 2, "double": 5}, {"number": 1, "double": 2}]
     assert run_all(double, settings[:2], tmp_path) == kept
     assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 2
-
-
-FOREVER = """
-from pathlib import Path
-from study_measures import wait_forever
-from gem_train.studies import run_all
-
-if __name__ == "__main__":
-    run_all(wait_forever, [{}], Path("study"), workers=1)
-"""
-
-
-@pytest.mark.thorough
-def test_a_killed_study_leaves_no_process(tmp_path: Path) -> None:
-    """Its output ends when the last process that could write to it has ended."""
-    (tmp_path / "study.py").write_text(FOREVER)
-    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
-    study = subprocess.Popen([sys.executable, "study.py"], cwd=tmp_path, env=env, stdout=subprocess.PIPE, text=True)
-    assert study.stdout is not None
-    assert study.stdout.readline() == "measuring\n"
-    study.kill()
-    assert study.stdout.read() == ""
-    study.wait()
-    study.stdout.close()
 
 
 @pytest.mark.parametrize(("numbers", "turns"), [(1, 1), (2, 3 / 2), (7, 17 / 7), (8, 21 / 8), (50, 4.86)])

@@ -8,11 +8,10 @@ import pytest
 from chat_tokenizers import DROPPING, END, NO_TOOLS, STRIPPING, chat_tokenizer
 
 import gem_core as gem
-from gem_core.errors import AgentError, ArgumentError
+from gem_core.errors import ArgumentError
 from gem_core.records import Episode
 from gem_core.types import Info, Observation, ResetResult, StepResult
 from gem_train.adapters import Generated, TokenAgent
-from gem_train.adapters.trial import CHATML
 from gem_train.tokens import batches
 
 TOOLS = [{"type": "function", "function": {"name": "look", "parameters": {"type": "object", "properties": {}}}}]
@@ -153,28 +152,6 @@ def test_response_cut_off_by_length_gets_the_end_of_its_turn() -> None:
     assert tokenizer.eos_token_id not in first.token_ids
 
 
-def test_end_that_the_model_did_not_write_as_the_template_does_is_followed_by_the_templates() -> None:
-    """Another special token that ends a response stays, and the template's end of turn comes after it."""
-    tokenizer = chat_tokenizer()
-    other = tokenizer.convert_tokens_to_ids("<|endoftext|>")
-    engine = Engine(Generated([64, other]), letters(tokenizer, "a"))
-    episode = played(TalkEnv(turns=2), engine, tokenizer)
-    so_far, bridge = pieces_of(engine, 0)
-    assert (so_far[-1], bridge[0]) == (other, tokenizer.eos_token_id)
-    assert episode.transitions[0].action.text == "a"
-
-
-def test_broken_characters_and_special_tokens_in_a_response_stay_as_they_were_sampled() -> None:
-    """Half of a character and a token that begins a turn are not written anew."""
-    tokenizer = chat_tokenizer()
-    half = tokenizer.encode("é", add_special_tokens=False)[:1]
-    begin = tokenizer.convert_tokens_to_ids("<|im_start|>")
-    engine = Engine(Generated([*half, begin, 64, tokenizer.eos_token_id]), letters(tokenizer, "a"))
-    episode = played(TalkEnv(turns=2), engine, tokenizer)
-    pieces_of(engine, 0)
-    assert episode.transitions[0].action.text == "\ufffd<|im_start|>a"
-
-
 def test_lone_surrogates_of_an_observation_are_question_marks() -> None:
     """Tokenizers refuse them, and a model can have an environment say them by the JSON of a call."""
     tokenizer = chat_tokenizer()
@@ -189,14 +166,6 @@ def test_white_space_that_a_template_strips_is_no_reason_to_write_tokens_anew() 
     engine = Engine(*(letters(tokenizer, " box \n") for _ in range(3)))
     played(TalkEnv(), engine, tokenizer)
     assert all(pieces_of(engine, turn)[1][0] == tokenizer.encode("\n")[0] for turn in (0, 1))
-
-
-def test_end_of_turn_that_is_ordinary_text_is_written_whatever_the_model_said() -> None:
-    """A response that ends with the same character has said it, and not ended its turn."""
-    tokenizer = chat_tokenizer("{% for message in messages %}{{ message.content }};{% endfor %}")
-    engine = Engine(letters(tokenizer, "box;", end=False), letters(tokenizer, "a"))
-    played(TalkEnv(turns=2), engine, tokenizer)
-    assert tokenizer.decode(engine.prompts[1]) == "Begin box.;box;;Turn 1, é box.;"
 
 
 def test_template_that_drops_reasoning_has_its_prompt_rendered_anew() -> None:
@@ -230,21 +199,6 @@ def test_view_that_drops_turns_has_its_prompt_rendered_anew(wrappers: Any) -> No
     assert (engine.prompts[2][: len(so_far)] != so_far) is drops
 
 
-def test_chat_that_an_environment_changes_is_rendered_anew() -> None:
-    """An environment that returns messages and alters earlier ones is not continued by tokens that are not its chat."""
-
-    class Rewriting(TalkEnv):
-        def step(self, action: str) -> StepResult:
-            result = super().step(action)
-            chat = [{"role": "user", "content": f"Rewritten {self.turn}."}, {"role": "assistant", "content": action}]
-            return [*chat, {"role": "user", "content": "Next."}], *result[1:]
-
-    tokenizer = chat_tokenizer()
-    engine = Engine(*(letters(tokenizer, "box") for _ in range(2)))
-    episode = played(Rewriting(turns=2, begin=[{"role": "user", "content": "Begin."}]), engine, tokenizer)
-    assert engine.prompts[1] == rendered(tokenizer, episode, 1)
-
-
 def test_context_overflow_ends_the_episode_as_one_that_is_scored() -> None:
     """A prompt that leaves no room is not sent; one that leaves little makes the response shorter."""
     tokenizer = chat_tokenizer()
@@ -268,21 +222,8 @@ def test_engine_that_gives_up_is_an_error_of_its_episode() -> None:
     assert episode.turns == 0
 
 
-def test_log_probabilities_that_do_not_fit_stop_the_run() -> None:
-    """They would be those of other tokens."""
-    with pytest.raises(AgentError, match="2 tokens and 1 log-probabilities"):
-        played(TalkEnv(), Engine(Generated([64, 65], [-1.0])), chat_tokenizer())
-
-
 def test_images_are_refused() -> None:
     """A tokenizer reads none."""
     picture = [{"type": "text", "text": "Look: "}, {"type": "image", "image": None}]
     with pytest.raises(ArgumentError, match="holds an image"):
         played(TalkEnv(begin=picture), Engine(), chat_tokenizer())
-
-
-def test_template_that_leaves_responses_out_is_refused() -> None:
-    """Nothing could follow them."""
-    template = CHATML.replace("{% for message in messages %}", "{% for message in messages[-1:] %}")
-    with pytest.raises(ArgumentError, match="leaves earlier responses out"):
-        TokenAgent(Engine(), chat_tokenizer(template))

@@ -218,15 +218,6 @@ def test_a_second_run_in_the_folder_of_a_first_is_refused(
 
 
 @pytest.mark.thorough
-@WEIGHTS
-def test_it_computes_in_bfloat16_with_gradient_checkpointing(example: Any, tmp_path: Path, weights: list[str]) -> None:
-    """As on a GPU; the log-probabilities differ by the rounding of bfloat16."""
-    options = "--dtype", "bfloat16", "--gradient-checkpointing", "--out", tmp_path / "run"
-    lines = train(example, *TINY, *FEW_TOKENS, *weights, *options)
-    assert all(math.isfinite(line["loss"]) and line["logprob_gap"] < 0.1 for line in lines[:4])
-
-
-@pytest.mark.thorough
 def test_the_command_of_the_docstring_learns_the_toy_task(tmp_path: Path) -> None:
     """In its first forty updates already."""
     (command,) = [line.split()[1:] for line in EXAMPLE.read_text(encoding="utf-8").splitlines() if "--tiny --" in line]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import inspect
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,7 +10,6 @@ from failing_envs import Divide, register
 from trainer_files import import_trainer
 
 import gem_core as gem
-from gem_core.errors import RequestError
 
 pytest.importorskip("torch")
 
@@ -80,44 +77,6 @@ def test_trl_rollout_takes_the_last_of_several_sequences(rollout: Any) -> None:
     fields = rollout.trl_fields(list(gem.rollout(register("Whole"), rewriting, episodes=1)), filler=9)
     assert (fields["prompt_ids"], fields["completion_ids"], fields["env_mask"]) == ([[2, 3]], [[10]], [[1]])
     assert fields["episode_return"] == [6.0]
-
-
-def test_trl_samples_once_for_all_who_wait(rollout: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each gets its own; what does not end by itself within its limit was cut off; a failure reaches everybody."""
-    asked: list[Any] = []
-
-    def sample(trainer: Any, prompts: list[list[int]], most: int) -> Any:
-        asked.append((prompts, most))
-        if prompts == [[0], [0]]:
-            raise RequestError("no engine")
-        return [([5, 7], [-1.0, -2.0]), ([5, 6, 6, 7], [-1.0] * 4)]
-
-    monkeypatch.setattr(rollout, "sample", sample)
-    engine = rollout.engine_of(SimpleNamespace(eos_token_ids=[7]), most=2)
-
-    async def ask(*requests: tuple[list[int], int]) -> Any:
-        waiting = [engine(prompt, max_tokens=limit) for prompt, limit in requests]
-        return await asyncio.gather(*waiting, return_exceptions=True)
-
-    ended, cut = asyncio.run(ask(([1], 8), ([2], 3)))
-    assert asked == [([[1], [2]], 8)]
-    assert (ended.token_ids, ended.logprobs, ended.finish_reason) == ([5, 7], [-1.0, -2.0], "stop")
-    assert (cut.token_ids, cut.logprobs, cut.finish_reason) == ([5, 6, 6], [-1.0] * 3, "length")
-    assert [type(each) for each in asyncio.run(ask(([0], 1), ([0], 1)))] == [RequestError, RequestError]
-
-
-def test_trl_samples_by_vllm_where_the_trainer_does(rollout: Any) -> None:
-    """With the limit of this call, and the sampled token's log-probability, which comes first."""
-
-    class Engine:
-        max_completion_length = 0
-
-        def generate(self, prompts: Any, images: Any, num_generations: int) -> Any:
-            assert (prompts, images, num_generations, self.max_completion_length) == ([[1], [2]], None, 1, 12)
-            return prompts, [[5, 7], [6]], [[[-1.0, -3.0], [-2.0]], [[-0.5]]], None
-
-    trainer = SimpleNamespace(use_vllm=True, vllm_generation=Engine())
-    assert rollout.sample(trainer, [[1], [2]], 12) == [([5, 7], [-1.0, -2.0]), ([6], [-0.5])]
 
 
 def test_trl_environment_plays_by_answers(environment: Any) -> None:
