@@ -48,7 +48,6 @@ ONE_MODULE = {
     "prints": "print('hello from a plugin')\n" + _ONE.format("prints", {}) + "def one(): pass",
     "wrong_kwargs": _ONE.format("wrong_kwargs", {"size": 3}) + "def one(): pass",
     "taken_id": _NAMED.format(["taken:Own-v0", "fine:One-v0"]),
-    "twice": _NAMED.format(["twice:One-v0", "twice:One-v0", "twice:Two-v0"]),
 }
 """Distributions of one module, each with something wrong; the others are folders of ``plugin_fixtures``."""
 

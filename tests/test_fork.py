@@ -61,16 +61,6 @@ def test_what_cannot_be_copied_says_so() -> None:
         Concat(env).fork()
 
 
-def test_rows_are_shared_by_forks() -> None:
-    """However many there are; a fork asks the same row."""
-    rows = [{"question": f"{number}+1?", "answer": str(number + 1)} for number in range(9)]
-    env = gem.DatasetEnv(rows)
-    env.reset(seed=1)
-    other = env.fork()
-    assert other.rows is env.rows
-    assert env.step("\\boxed{3}") == other.step("\\boxed{3}")
-
-
 def test_sessions_of_tools_are_copied() -> None:
     """A fork has the notes so far, and its own from there on; counters as well."""
     env = gem.ToolEnv(GuessEnv(), [Notebook()])

@@ -19,43 +19,28 @@ if TYPE_CHECKING:
 @pytest.mark.parametrize(
     ("requirement", "advice"),
     [
-        ("key:GEMT_KEY", "it needs a key: set the environment variable GEMT_KEY"),
-        ("package:gemt-none", "it needs the package gemt-none: 'pip install gemt-none'"),
-        ("package:gemt.none.deep", "it needs the package gemt.none.deep: 'pip install gemt.none.deep'"),
-        ("package:gemt-none[x]", "it needs an extra of gemt-none: 'pip install \"gemt-none[x]\"'"),
-        ("package:gem-core[gemt]", "it needs an extra of gem-core: 'pip install \"gem-core[gemt]\"'"),
-        ("command:gemt-none", "it needs the command 'gemt-none' on the PATH: install it"),
+        ("key:GEMT_KEY", "variable GEMT_KEY"),
+        ("package:gemt.none.deep", "'pip install gemt.none.deep'"),
+        ("package:gemt-none[x]", "'pip install \"gemt-none[x]\"'"),
+        ("package:gem-core[gemt]", "'pip install \"gem-core[gemt]\"'"),
+        ("command:gemt-none", "'gemt-none'"),
+        ("argument:rows", "rows=…"),
         ("never:its data were withdrawn", "its data were withdrawn"),
     ],
 )
 def test_unmet_requirement_has_advice(requirement: str, advice: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each kind of requirement says what to set, install or start."""
     monkeypatch.setenv("GEMT_KEY", "")
-    assert unmet([requirement]) == {requirement: advice}
+    assert advice in unmet([requirement])[requirement]
 
 
-@pytest.mark.parametrize(
-    "requirement",
-    [
-        "key:GEMT_KEY",
-        "package:typing-extensions",
-        "package:gem-core",
-        "package:gem-core[images]",
-        "command:gemt-command",
-        "network",
-        "hub",
-        "other:x",
-        "",
-    ],
-)
-def test_met_and_untried_requirements_are_silent(
-    requirement: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_met_and_untried_requirements_are_silent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is there, and what is known only in use, gives no advice."""
     monkeypatch.setenv("GEMT_KEY", "secret")
     monkeypatch.setenv("PATH", str(tmp_path))
     (tmp_path / "gemt-command").touch(0o755)
-    assert unmet([requirement]) == {}
+    packages = [f"package:{name}" for name in ("typing-extensions", "gem-core", "gem-core[images]")]
+    assert unmet([*packages, "key:GEMT_KEY", "command:gemt-command", "network", "hub", "other:x", ""]) == {}
 
 
 def probe(status: str) -> RequirementSpec:
