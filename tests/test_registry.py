@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -12,16 +12,14 @@ import pytest
 from word_env import PlainEnv, WordEnv, message
 
 import gem_core as gem
-from gem_core.errors import ArgumentError, EntryPointError, RegistrationError, UnknownEnvError
+from gem_core.errors import ArgumentError, EntryPointError, UnknownEnvError
 from gem_core.registry import lookup as registry
 from gem_core.registry import plugins
 from gem_core.registry.specs import EnvSpec, WrapperSpec
 from gem_core.rollouts import load_agent
 
-pytestmark = pytest.mark.usefixtures("own_registry")
 
-
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def words(own_registry: registry.Registry) -> None:
     """Three environments in two namespaces."""
     gem.register("word:Guess-v0", WordEnv, summary="Guess it.")
@@ -32,7 +30,6 @@ def words(own_registry: registry.Registry) -> None:
 # Unknown ids and names.
 
 
-@pytest.mark.usefixtures("words")
 @pytest.mark.parametrize(
     ("wrong", "advice"),
     [
@@ -78,6 +75,7 @@ def test_unknown_name_says_what_to_do(own_registry: registry.Registry, kind: str
     told = message(getattr(own_registry, kind), wrong)
     assert told.startswith(f"Unknown{kind.title()}Error: ")
     assert text in told
+    assert "'core'" in message(own_registry.plugins_named, "cor")
 
 
 @pytest.mark.parametrize("module", ["", "def act(observation):\n    return 'a'\n"])
@@ -93,23 +91,20 @@ def test_agent_of_a_plugin_that_is_not_installed(tmp_path: Path, monkeypatch: py
     sys.modules.pop("openai", None)
 
 
-def test_unknown_plugin(own_registry: registry.Registry) -> None:
-    """An unknown plugin gives the installed ones."""
-    assert "Did you mean 'core'? Installed: core." in message(own_registry.plugins_named, "cor")
-
-
 def plugin(name: str, *env_ids: str, **facts: Any) -> plugins.Plugin:
     """Return a loaded plugin with some environments."""
+    point = EntryPoint(name, f"gem_{name}", "gem.plugins")
     records: list[Any] = [EnvSpec(id=env_id, entry_point=WordEnv) for env_id in env_ids]
-    return plugins.Plugin(
-        EntryPoint(name, f"gem_{name}", "gem.plugins"), f"gem-{name}", "1.0", records=records, **facts
-    )
+    return plugins.Plugin(point, f"gem-{name}", "1.0", records=records, **facts)
 
 
-def test_disabled_plugin_is_named_for_its_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An id of a disabled plugin says that it is disabled, not that it should be installed."""
-    monkeypatch.setattr(registry, "load_plugins", lambda: [plugin("math", disabled=True)])
-    assert "plugin 'math' (gem-math 1.0), which GEM_PLUGINS_DISABLE skips" in message(gem.make, "math:GSM8K")
+def test_plugins_that_are_disabled_or_own_an_id(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disabled one is named for its namespace; an id of another's cannot be registered."""
+    fresh = registry.Registry()
+    monkeypatch.setattr(registry, "_registry", fresh)
+    monkeypatch.setattr(registry, "load_plugins", lambda: [plugin("math", disabled=True), plugin("mine", "word:A-v0")])
+    assert "plugin 'math' (gem-math 1.0)" in message(gem.make, "math:GSM8K")
+    assert "plugin 'mine' (gem-mine 1.0)" in message(gem.register, "word:A-v0", WordEnv)
 
 
 # Arguments.
@@ -119,12 +114,11 @@ def test_disabled_plugin_is_named_for_its_namespace(monkeypatch: pytest.MonkeyPa
     ("make", "text"),
     [
         (lambda: gem.make("word:Guess-v0", wrod="x"), "'wrod'. Did you mean 'word'? It accepts: word, tries"),
-        (lambda: gem.make(EnvSpec(id="word:Plain-v0", entry_point=PlainEnv), size=1), "'size'. It accepts: no arg"),
-        (lambda: gem.make("word:Guess-v0", wrappers=[("turn_limit", {"max_turn": 3})]), "Did you mean 'max_turns'?"),
-        (lambda: gem.make("word:Guess-v0", wrappers=[("concat", {"drop_thinking": "False"})]), "the text 'False'"),
+        (lambda: gem.make(EnvSpec(id="word:Plain-v0", entry_point=PlainEnv), size=1), "'size'"),
+        (lambda: gem.make("word:Guess-v0", wrappers=[("turn_limit", {"max_turn": 3})]), "'max_turns'"),
+        (lambda: gem.make("word:Guess-v0", wrappers=[("concat", {"drop_thinking": "False"})]), "'False'"),
     ],
 )
-@pytest.mark.usefixtures("words")
 def test_wrong_argument_names_those_that_exist(make: Any, text: str) -> None:
     """Of an environment and of a wrapper; any text for a bool would be true without a word."""
     told = message(make)
@@ -144,7 +138,6 @@ def test_type_errors_of_python_stay() -> None:
         gem.make(EnvSpec(id="word:Broken-v0", entry_point=broken))
 
 
-@pytest.mark.usefixtures("words")
 @pytest.mark.parametrize("wrappers", [3, [3], [("concat",)], [("concat", 4)]])
 def test_malformed_wrappers_are_refused(wrappers: Any) -> None:
     """Whatever is no list of names, callables and pairs is an ArgumentError."""
@@ -152,25 +145,19 @@ def test_malformed_wrappers_are_refused(wrappers: Any) -> None:
         gem.make("word:Guess-v0", wrappers=wrappers)
 
 
-def test_keywords_of_make_go_over_the_registered_ones() -> None:
-    """A keyword given to make wins, and the record stays as it was."""
-    gem.register("word:Guess-v0", WordEnv, word="one", tries=5)
-    env = gem.make("word:Guess-v0", word="two")
-    assert (env.unwrapped.word, env.unwrapped.tries) == ("two", 5)
-    assert dict(gem.spec("word:Guess-v0").kwargs) == {"word": "one", "tries": 5}
-
-
 # Registration.
 
 
 def test_register_splits_keywords() -> None:
-    """Description goes to the record, max_turns is its limit, every other keyword goes to the environment."""
-    gem.register(
-        "word:Guess-v0", WordEnv, summary="s", tags=["a"], requires=["network"], deterministic=False, max_turns=4
-    )
-    record = gem.spec("word:Guess-v0")
+    """Description goes to the record; every other keyword goes to the environment, where those of make win."""
+    described: dict[str, Any] = {"summary": "s", "tags": ["a"], "requires": ["network"], "deterministic": False}
+    gem.register("word:New-v0", WordEnv, **described, max_turns=4, word="one", tries=5)
+    record = gem.spec("word:New-v0")
     assert (record.summary, record.tags, record.requires, record.deterministic) == ("s", ("a",), ("network",), False)
-    assert (dict(record.kwargs), record.max_turns, record.turn_limit) == ({}, 4, 4)
+    assert (record.max_turns, record.turn_limit) == (4, 4)
+    env = gem.make("word:New-v0", word="two")
+    assert (env.unwrapped.word, env.unwrapped.tries) == ("two", 5)
+    assert dict(record.kwargs) == {"word": "one", "tries": 5}
 
 
 @pytest.mark.parametrize(
@@ -201,20 +188,14 @@ def test_bad_field_of_a_record_is_refused(field: str, value: Any) -> None:
     text = message(EnvSpec, **{"id": "word:Guess-v0", "entry_point": WordEnv, field: value})
     assert text.startswith(f"RegistrationError: word:Guess-v0: {field} must ")
     assert repr(value) in text
-    # Names of wrappers and their kin are lower case.
-    assert message(WrapperSpec, name="Shout", entry_point="a:B").startswith("RegistrationError: wrapper name 'Shout'")
+    assert "'Shout'" in message(WrapperSpec, name="Shout", entry_point="a:B")  # names are lower case
 
 
-def test_taken_id_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another class under a taken id is an error that names the owner; a notebook cell may run twice."""
-    monkeypatch.setattr(registry, "load_plugins", lambda: [plugin("mine", "word:Theirs-v0")])
-    gem.register("word:Guess-v0", WordEnv, word="one")
+def test_taken_id_is_refused() -> None:
+    """Another class under a taken id is an error; a notebook cell may run twice."""
     gem.register("word:Guess-v0", WordEnv, word="two")
     assert gem.make("word:Guess-v0").unwrapped.word == "two"
-    with pytest.raises(RegistrationError, match=r"'word:Guess-v0' .* by register\(\)"):
-        gem.register("word:Guess-v0", PlainEnv)
-    with pytest.raises(RegistrationError, match=r"'word:Theirs-v0' .* by plugin 'mine' \(gem-mine 1.0\)"):
-        gem.register("word:Theirs-v0", WordEnv)
+    assert message(gem.register, "word:Guess-v0", PlainEnv).startswith("RegistrationError: ")
 
 
 # Entry points and requirements.
@@ -232,7 +213,7 @@ MODULES = {
     [
         ("gemt_nowhere.deep:WordEnv", "no module 'gemt_nowhere' (entry point 'gemt_nowhere.deep:WordEnv')"),
         ("gemt_needs:WordEnv", "'pip install gemt-not-installed'"),
-        ("gemt_own.env:WordEnv", "the module 'gemt_own.gone', which is not there"),
+        ("gemt_own.env:WordEnv", "'gemt_own.gone', which is not there"),
         ("gemt_value:WordEnv", "ValueError: bad day"),
         ("gemt_inside:WordEnv", "ImportError: cannot import name 'gemt_nothing'"),
         ("gemt_fine:WorldEnv", "'WorldEnv'. Did you mean 'WordEnv'?"),
@@ -249,10 +230,9 @@ def test_entry_point_error_says_which_way_it_failed(
     (tmp_path / "gemt_own" / "env.py").write_text("from gemt_own.gone import WordEnv\n")
     monkeypatch.syspath_prepend(tmp_path)
     gem.register("word:Lost-v0", entry_point)
-    with pytest.raises(ImportError) as caught:
+    with pytest.raises(ImportError, match=r"^environment 'word:Lost-v0': ") as caught:
         gem.make("word:Lost-v0")
     assert isinstance(caught.value, EntryPointError)
-    assert str(caught.value).startswith("environment 'word:Lost-v0': ")
     assert text in str(caught.value)
 
 
@@ -268,28 +248,20 @@ def test_missing_requirement_says_what_to_set(monkeypatch: pytest.MonkeyPatch) -
     gem.register("word:Key-v0", "gemt_nowhere:WordEnv", requires=("key:GEMT_KEY", "command:gemt-no-such-command"))
     told = message(gem.make, "word:Key-v0")
     assert told.startswith("MissingRequirementError: word:Key-v0 ")
-    assert "variable GEMT_KEY; it needs the command 'gemt-no-such-command'" in told
+    assert "GEMT_KEY" in told
+    assert "'gemt-no-such-command'" in told
 
 
 def test_first_use_loads_once_from_many_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sixteen threads that look up first load the plugins once and all see the same."""
+    """Threads that look up first load the plugins once and all see the same."""
     calls: list[int] = []
-    together = threading.Barrier(16)
-    seen: list[list[str]] = []
 
     def load_once() -> list[plugins.Plugin]:
         calls.append(1)
-        return [plugin("mine", "word:Guess-v0")]
-
-    def look() -> None:
-        together.wait()
-        seen.append(gem.list_envs())
+        return [plugin("mine", "word:A-v0")]
 
     monkeypatch.setattr(registry, "load_plugins", load_once)
-    threads = [threading.Thread(target=look) for _ in range(16)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    monkeypatch.setattr(registry, "_registry", registry.Registry())
+    with ThreadPoolExecutor(16) as pool:
+        assert list(pool.map(lambda _: gem.list_envs(), range(64))) == [["word:A-v0"]] * 64
     assert calls == [1]
-    assert seen == [["word:Guess-v0"]] * 16
