@@ -111,7 +111,7 @@ def test_what_is_closed_stays_closed(backend: str) -> None:
         vector.recv,
         lambda: vector.describe(0),
         lambda: vector.sample_random_action(0),
-        lambda: vector.num_tasks(INLINE),
+        lambda: vector.tasks(INLINE),
         lambda: run_sync(vector.reset_async()),
         lambda: run_sync(vector.step_async(["a", "a"])),
         lambda: run_sync(vector.recv_async()),

@@ -256,8 +256,7 @@ def test_close_closes_every_environment_and_may_be_called_again() -> None:
 def test_tasks_of_a_data_set_are_counted() -> None:
     """Other environments have no number of tasks."""
     vector = gem.make_vec(["toy:Sums-v0", COUNTDOWN])
-    assert (vector.num_tasks("toy:Sums-v0"), vector.num_tasks(COUNTDOWN)) == (7, None)
-    assert (vector.endless_tasks("toy:Sums-v0"), vector.endless_tasks(COUNTDOWN)) == (False, False)
+    assert (vector.tasks("toy:Sums-v0"), vector.tasks(COUNTDOWN)) == ((7, False), (None, False))
 
 
 def test_an_iterator_that_was_drawn_from_cannot_start_over() -> None:

@@ -149,10 +149,8 @@ def default_plan(vector: VectorEnv, episodes: int | None = None) -> LazyPlan:
     """Return the plan of ``rollout`` without one: rows in order for data sets, a number of episodes for the rest."""
     parts: list[LazyPlan] = []
     for env_id, kwargs in vector.entries:
-        rows = vector.num_tasks(env_id, kwargs)
+        rows, endless = vector.tasks(env_id, kwargs)
         if rows is not None:
-            again = episodes is not None and episodes > rows
-            endless = again and vector.endless_tasks(env_id, kwargs)
             parts.append(cover_plan(env_id, rows, episodes=episodes, endless=endless, kwargs=kwargs))
         else:
             parts.append(count_plan([env_id], DEFAULT_EPISODES if episodes is None else episodes, kwargs=kwargs))

@@ -22,10 +22,11 @@ from gem_core.vector.vector_env import VectorEnv
 
 def make_vector(ids: IdOrIds, num_envs: int | None, *, backend: object = "auto", **options: Any) -> VectorEnv:
     """Make several environments that are reset and stepped together; see ``make_vec`` for the arguments."""
-    if isinstance(backend, str) and ":" in backend:
-        backend = parsed_choices(backend, "backend")[0]
-    rule = "a backend is a name, as 'process' or 'process:workers=2', or (name, {option: value})"
-    name, backend_options = parse_choice(backend, rule, lambda one: isinstance(one, str))
+    if isinstance(backend, str):
+        name, backend_options = parsed_choices(backend, "backend")[0] if ":" in backend else (backend, {})
+    else:
+        rule = "a backend is a name, as 'process' or 'process:workers=2', or (name, {option: value})"
+        name, backend_options = parse_choice(backend, rule, lambda one: isinstance(one, str))
     setup = VectorSetup.of(ids, num_envs, **options)
     vector: VectorEnv = construct(registry().backend(name), setup, **backend_options)
     return vector
@@ -54,7 +55,7 @@ def asynchronous(setup: VectorSetup) -> VectorEnv:
         ArgumentError: ``step_timeout`` is given, and an environment runs in place, so that it cannot be enforced.
     """
     if setup.step_timeout is not None:
-        for env_id in setup.all_ids:
+        for env_id in setup.records:
             if setup.concurrency(env_id) == "inline":
                 raise ArgumentError(
                     f"step_timeout cannot be kept for {env_id!r}, which runs in place; use backend='auto' or "
@@ -81,7 +82,7 @@ def auto(setup: VectorSetup, *, workers: int | None = None) -> VectorEnv:
     """
     far = ("process",) if setup.step_timeout is None else ("process", "inline")
     in_pool = functools.cache(lambda env_id: setup.concurrency(env_id) in far)
-    if not any(map(in_pool, setup.all_ids)):
+    if not any(map(in_pool, setup.records)):
         return VectorEnv(setup, in_place=_in_place(setup))
     pool = process_pool(setup, workers=workers)
     return VectorEnv(setup, in_place=_in_place(setup), pool=pool, in_pool=in_pool)

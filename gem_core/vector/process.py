@@ -45,7 +45,7 @@ def process_pool(setup: VectorSetup, *, workers: int | None) -> WorkerPool:
     """
     if workers is not None and (type(workers) is not int or workers < 1):
         raise ArgumentError(f"workers must be a positive whole number, not {workers!r}")
-    return WorkerPool(setup, ProcessWorker, min(len(setup.ids), workers or _cores()))
+    return WorkerPool(setup, ProcessWorker, min(len(setup.slots), workers or _cores()))
 
 
 class ProcessWorker(Worker):

@@ -24,7 +24,6 @@ from gem_core.env.base import Env
 from gem_core.errors import ArgumentError, GemError
 from gem_core.failures import Failure, WorkerFailureError, shown_error
 from gem_core.making.layers import wrapper_targets
-from gem_core.registry.lookup import registry
 from gem_core.types import ResetResult, StepResult
 from gem_core.vector.setup import VectorSetup
 
@@ -269,7 +268,7 @@ class RemoteEnv(Env):
     def _record(self) -> bytes | None:
         """Return the record of an id that the setup does not have, as one that a script registered."""
         env_id = self._made_for[0]
-        if env_id is None or env_id in self._pool.setup.all_ids:
+        if env_id is None or env_id in self._pool.setup.records:
             return None
         record = self._pool.setup.record(env_id)
         return pack_by_value(record, [record.entry_point])
@@ -320,8 +319,7 @@ def pack_by_value(thing: object, targets: list[Any]) -> bytes:
 
 
 def _pack_setup(setup: VectorSetup) -> bytes:
-    records = {env_id: registry().env(env_id) for env_id in setup.all_ids}
     wrappers = setup.wrappers if isinstance(setup.wrappers, str | Mapping) else list(setup.wrappers)
-    sent = replace(setup, plan=None, wrappers=wrappers, kwargs=dict(setup.kwargs), records=records)
-    entry_points = [record.entry_point for record in records.values()]
+    sent = replace(setup, plan=None, wrappers=wrappers, kwargs=dict(setup.kwargs))
+    entry_points = [record.entry_point for record in setup.records.values()]
     return pack_by_value(sent, [*entry_points, *wrapper_targets(wrappers)])

@@ -62,9 +62,10 @@ class EnvRunner:
 
     def make(self, env_id: str | None, kwargs: Mapping[str, Any]) -> Failure | None:
         """Make the environment for an id and keyword arguments unless it is present; return the failure, if any."""
-        if self.has_env_for(env_id, kwargs):
-            return None
-        self.close()
+        if self.env is not None:
+            if self.has_env_for(env_id, kwargs):
+                return None
+            self.close()
         try:
             env = self._make(env_id, kwargs)
             self.concurrency = concurrency_of(env)

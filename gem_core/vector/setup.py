@@ -37,9 +37,9 @@ class VectorSetup:
     """The arguments of a vector environment; ``make_vec`` passes them to a backend.
 
     Args:
-        ids: Id of each slot's own environment; None for one without an id.
-        slot_kwargs: Keyword arguments of each slot's own environment, which override ``kwargs``.
-        entries: Every requested id with its keyword arguments, once.
+        slots: Id of each slot's own environment, None for one without an id, and its keyword arguments, which override
+            ``kwargs``.
+        entries: The requested ids with their keyword arguments, each once.
         wrappers: Wrappers of each environment.
         kwargs: Keyword arguments for every environment.
         seed: Seed of the run; None draws one.
@@ -49,12 +49,11 @@ class VectorSetup:
         on_error: ``"truncate"`` or ``"raise"``.
         max_faults: Faults in a row that do not stop the run; None for 16, or twice the number of slots.
         factory: Makes environments, instead of the registry.
-        records: Records of environments that take precedence over the registry; a worker receives them.
+        records: Records of the requested ids, which a worker receives.
     """
 
-    ids: Sequence[str | None]
-    slot_kwargs: list[Mapping[str, Any]]
-    entries: Sequence[tuple[str | None, Mapping[str, Any]]]
+    slots: list[tuple[str | None, Mapping[str, Any]]]
+    entries: list[tuple[str | None, Mapping[str, Any]]]
     wrappers: Wrappers = ()
     kwargs: Mapping[str, Any] = field(default_factory=dict)
     seed: int | None = None
@@ -89,32 +88,31 @@ class VectorSetup:
                 f"environments are an id, (id, {{keyword: value}}) or a list of these, not {ids!r:.200}"
             )
         given = [ids] if isinstance(ids, str) or _is_pair(ids) else list(ids)
-        entries = [_as_pair(one) for one in given]
+        rule = "an environment is an id, or (id, {keyword: value})"
+        entries = [(one, {}) if isinstance(one, str) else parse_choice(one, rule, _is_id) for one in given]
         if not entries:
             raise ArgumentError("make_vec needs at least one environment id")
         count = len(entries) if num_envs is None else num_envs
         if not isinstance(count, int) or count < 1:
             raise ArgumentError(f"num_envs must be a positive whole number, not {count!r}")
-        own = [entries[slot % len(entries)] for slot in range(count)]
-        distinct = [entry for place, entry in enumerate(entries) if entry not in entries[:place]]
-        setup = cls([env_id for env_id, _ in own], [kwargs for _, kwargs in own], distinct, **options)
-        for env_id, kwargs in distinct:
-            record = setup.records[env_id] = registry().env(env_id)
-            arguments, own_wrappers = _split({**setup.kwargs, **kwargs})
-            check_choices(record, arguments, setup.wrappers, own_wrappers)
+        setup = cls([entries[slot % len(entries)] for slot in range(count)], [], **options)
+        for env_id, kwargs in entries:
+            if (env_id, kwargs) not in setup.entries:
+                setup.entries.append((env_id, kwargs))
+                record = setup.records[env_id] = registry().env(env_id)
+                check_choices(record, *setup.arguments(kwargs))
         return setup
 
-    @property
-    def all_ids(self) -> list[str]:
-        """Every requested id, once."""
-        return list(dict.fromkeys(env_id for env_id, _ in self.entries if env_id is not None))
+    def arguments(self, overrides: Mapping[str, Any]) -> tuple[dict[str, Any], Wrappers, Wrappers]:
+        """Return the arguments of an environment, the wrappers of all, and those that are named among its arguments."""
+        arguments = {**self.kwargs, **overrides}
+        return arguments, self.wrappers, arguments.pop("wrappers", ())
 
     def make(self, env_id: str | None, overrides: Mapping[str, Any]) -> AnyEnv:
         """Make an environment, with some keyword arguments changed."""
         if self.factory is not None:
             return self.factory(env_id, overrides)
-        arguments, own_wrappers = _split({**self.kwargs, **overrides})
-        return make_from(self.record(env_id), arguments, self.wrappers, own_wrappers)
+        return make_from(self.record(env_id), *self.arguments(overrides))
 
     def record(self, env_id: str | None) -> EnvSpec:
         """Return the record of an environment.
@@ -165,16 +163,9 @@ def _declared_by(wrappers: Wrappers) -> list[Concurrency]:
     return cast("list[Concurrency]", declared)
 
 
-def _split(kwargs: Mapping[str, Any]) -> tuple[Mapping[str, Any], Wrappers]:
-    """Return the arguments of an environment, and the wrappers that are named among them."""
-    if "wrappers" not in kwargs:
-        return kwargs, ()
-    return {name: value for name, value in kwargs.items() if name != "wrappers"}, kwargs["wrappers"]
-
-
 def _is_pair(given: object) -> bool:
     return isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], Mapping)
 
 
-def _as_pair(given: object) -> IdWithKwargs:
-    return parse_choice(given, "an environment is an id, or (id, {keyword: value})", lambda one: isinstance(one, str))
+def _is_id(given: object) -> bool:
+    return isinstance(given, str)

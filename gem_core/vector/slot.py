@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
 
 from gem_core.background import DaemonPool, in_thread, on_library_loop, within
@@ -280,8 +281,7 @@ class Slot:
         call.cancel()
 
     def _new_runner(self) -> EnvRunner:
-        index, make = self.index, self.config.make
-        return EnvRunner(lambda env_id, kwargs: make(index, env_id, kwargs), self.borrowed, self.config.in_place)
+        return EnvRunner(partial(self.config.make, self.index), self.borrowed, self.config.in_place)
 
     # Faults.
 

@@ -87,7 +87,7 @@ class VectorEnv:
         in_pool: Callable[[str | None], bool] | None = None,
         borrowed: AnyEnv | None = None,
     ) -> None:
-        self.ids, self.entries = list(setup.ids), list(setup.entries)
+        self.ids, self.entries = [env_id for env_id, _ in setup.slots], setup.entries
         self._plan = EpisodeQueue(setup.plan, setup.seed)
         self._queue = self._plan
         self._pool = pool
@@ -104,8 +104,7 @@ class VectorEnv:
         self.config = VectorConfig(
             make, budget, in_place, is_quick, setup.autoreset, setup.on_error, setup.step_timeout
         )
-        owned = zip(self.ids, setup.slot_kwargs, strict=True)
-        self.slots = [Slot(index, *own, self.config, borrowed) for index, own in enumerate(owned)]
+        self.slots = [Slot(index, *own, self.config, borrowed) for index, own in enumerate(setup.slots)]
         """The slots, for ``rollout``."""
         self._sent: set[int] = set()
         """Slots whose results ``recv`` has not returned."""
@@ -147,7 +146,7 @@ class VectorEnv:
                 return spares.pop()
             return Recipe.of(env).make(**overrides)
 
-        setup = VectorSetup([own_id], [{}], [(own_id, {})], seed=seed, on_error=on_error, factory=factory)
+        setup = VectorSetup([(own_id, {})], [(own_id, {})], seed=seed, on_error=on_error, factory=factory)
         in_place = ALL_IN_PLACE if plain else ("inline",)
         return cls(setup, in_place=in_place, borrowed=env if keep_open else None)
 
@@ -199,21 +198,14 @@ class VectorEnv:
         described = self.slots[slot].runner.describe()
         return {**described, "id": described["id"] or self.ids[slot] or "unknown"}
 
-    def num_tasks(self, env_id: str | None, kwargs: Mapping[str, Any] = MappingProxyType({})) -> int | None:
-        """Return the number of tasks of an environment that has a data set; None for any other.
+    def tasks(self, env_id: str | None, kwargs: Mapping[str, Any] = MappingProxyType({})) -> tuple[int | None, bool]:
+        """Return ``num_tasks`` and ``endless_tasks`` of an environment; see ``Env``.
 
         Call it before the first ``reset``: it may make the environment in a slot, in place of the present one.
         """
-        return cast("int | None", self._tasks(env_id, kwargs)[0])
-
-    def endless_tasks(self, env_id: str | None, kwargs: Mapping[str, Any] = MappingProxyType({})) -> bool:
-        """Return whether an environment generates new tasks for every epoch, at any index; see ``num_tasks``."""
-        return cast("bool", self._tasks(env_id, kwargs)[1])
-
-    def _tasks(self, env_id: str | None, kwargs: Mapping[str, Any]) -> Any:
         self._check_open()
         slot = self.slots[self.ids.index(env_id) if env_id in self.ids else 0]
-        return self._ask(slot, (env_id or slot.env_id, dict(kwargs)), _num_tasks)
+        return self._ask(slot, (env_id or slot.env_id, dict(kwargs)), _tasks)
 
     def sample_random_action(self, slot: int, agent: str | None = None) -> str:
         """Return a valid action for the present state of a slot; an empty one before its first reset.
@@ -666,12 +658,12 @@ def _results(pairs: Iterable[tuple[Slot, Any]]) -> VectorStep:
     )
 
 
-def _num_tasks(env: AnyEnv) -> tuple[int | None, bool]:
+# Applied to an environment in its own process.
+
+
+def _tasks(env: AnyEnv) -> tuple[int | None, bool]:
     task: Any = env.unwrapped
     return task.num_tasks, task.endless_tasks
-
-
-# Applied to an environment in its own process.
 
 
 def _call(env: AnyEnv, slot: int, name: str, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> Any:

@@ -36,7 +36,7 @@ class WorkerLoop:
     def __init__(self, setup: bytes) -> None:
         try:
             self._setup: VectorSetup = pickle.loads(setup)
-            for env_id in self._setup.all_ids:  # imports do not count as time of the first reset
+            for env_id in self._setup.records:  # imports do not count as time of the first reset
                 load_entry_point(self._setup.record(env_id).entry_point, f"environment {env_id!r}")
         except BaseException as error:
             raise _as_gem_error(error) from error

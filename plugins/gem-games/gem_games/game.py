@@ -316,5 +316,7 @@ def check_flag(name: str, value: object, *, or_drawn: bool = False) -> None:
 
 def sizes_to_draw(sizes: Sequence[tuple[Any, ...]], given: tuple[Any, ...]) -> list[Any]:
     """Return the different sizes that are left when what was given, and is not None, replaces its part of each."""
-    replaced = (tuple(drawn if own is None else own for own, drawn in zip(given, size, strict=True)) for size in sizes)
-    return list(dict.fromkeys(replaced))
+    replaced: dict[Any, None] = {}
+    for size in sizes:
+        replaced[tuple([drawn if own is None else own for own, drawn in zip(given, size, strict=True)])] = None
+    return list(replaced)

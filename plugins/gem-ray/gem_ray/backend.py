@@ -70,7 +70,7 @@ def actors(
     }
     given = {name: value for name, value in options.items() if value is not None}
     lease = Lease(address, init or {})
-    count = min(len(setup.ids), num_actors or room(num_cpus, len(setup.ids)))
+    count = min(len(setup.slots), num_actors or room(num_cpus, len(setup.slots)))
     return VectorEnv(setup, pool=RayPool(setup, count, lease, given, start_timeout))
 
 
