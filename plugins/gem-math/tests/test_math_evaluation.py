@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from gem_math import grade
 from gem_math.grading import formulas
-from gem_math.grading.quantities import number_of
+from gem_math.grading.arithmetic import number_of
 
 NUMBERS = st.fractions(min_value=-50, max_value=50, max_denominator=40)
 

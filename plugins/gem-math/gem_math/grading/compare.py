@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any
 
+from gem_math.grading.arithmetic import number_of, same_value
 from gem_math.grading.forms import (
     Cases,
     Choice,
@@ -25,7 +26,7 @@ from gem_math.grading.forms import (
     is_region,
     name_of,
 )
-from gem_math.grading.quantities import Leaf, equal_pairs, exact, is_numeric, number_of
+from gem_math.grading.quantities import Leaf, equal_pairs, exact, is_numeric
 from gem_math.grading.structure import read, read_words
 from gem_math.grading.text import text_inside
 
@@ -128,6 +129,8 @@ class Comparison:
         numbers = number_of(gold), number_of(answer)
         if None not in numbers:
             return numbers[0] == numbers[1]
+        if (verdict := same_value(gold, answer)) is not None:
+            return verdict
         return len(answer) <= _MAX_MORE + 2 * len(gold) and self.ask(self.parser.same, gold, answer)
 
     def rounded(self, gold: str, answer: str) -> bool | None:

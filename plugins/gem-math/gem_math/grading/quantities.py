@@ -2,68 +2,13 @@ r"""Reads one quantity: a number or formula with its unit, currency, per cent si
 
 from __future__ import annotations
 
-import ast
-import operator
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from gem_math.grading.arithmetic import number_of
 from gem_math.grading.text import has_words, text_inside, words_of
-
-_MAX_BITS = 60_000
-_MAX_NUMBER_CHARS = 200
-_NUMBER_PARTS: list[tuple[re.Pattern[str], str | Callable[[re.Match[str]], str]]] = [
-    # Thousands; those outside brackets are joined already.
-    (re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?:,\d{3})+(?![\d,])"), lambda match: match[0].replace(",", "")),
-    (re.compile(r"\\frac\s*(\d)"), r"\\frac{\1}"),
-    (re.compile(r"(\\frac\s*\{[^{}]*\})\s*(\d)"), r"\1{\2} "),
-    (re.compile(r"(?<![\d.)}])(\d+)\s*\\frac\s*\{(\d+)\}\{(\d+)\}"), r"(\1+(\2)/(\3))"),
-    (re.compile(r"\\frac\s*\{([^{}]*)\}\s*\{([^{}]*)\}"), r"((\1)/(\2))"),
-    (re.compile(r"\\(?:cdot|times)(?![a-zA-Z])"), "*"),
-    (re.compile(r"\\div(?![a-zA-Z])"), "/"),
-    (
-        re.compile(r"(\d*)\.(\d*)"),
-        lambda match: f"({match[1] or 0}{match[2]}/{10 ** len(match[2])})" if match[0] != "." else "?",
-    ),
-    (re.compile(r"(?<!\d)0+(?=\d)"), ""),
-]
-_ARITHMETIC = re.compile(r"[\d+\-*/() ^{}]+")
-_OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
-}  # fmt: skip
-_SIGNS: dict[type, Callable[[Any], Any]] = {ast.UAdd: operator.pos, ast.USub: operator.neg}
-
-
-def number_of(text: str) -> Fraction | None:
-    r"""Return the value of an arithmetic of numbers and fractions, as 2\frac{1}{3}; None of any other text."""
-    if len(text) > _MAX_NUMBER_CHARS:
-        return None
-    for pattern, replacement in _NUMBER_PARTS:
-        text = pattern.sub(replacement, text)
-    if not _ARITHMETIC.fullmatch(text) or re.search(r"\d\s+\d|\*\s*\*|//", text):
-        return None
-    try:
-        return _value(ast.parse(text.replace("^", "**").translate(str.maketrans("{}", "()")).strip(), mode="eval").body)
-    except (SyntaxError, ValueError, ZeroDivisionError, RecursionError, MemoryError):
-        return None
-
-
-def _value(tree: ast.expr) -> Fraction:
-    if isinstance(tree, ast.Constant) and isinstance(tree.value, int):
-        return Fraction(tree.value)
-    if isinstance(tree, ast.UnaryOp) and type(tree.op) in _SIGNS:
-        return Fraction(_SIGNS[type(tree.op)](_value(tree.operand)))
-    if isinstance(tree, ast.BinOp):
-        left, right = _value(tree.left), _value(tree.right)
-        if isinstance(tree.op, ast.Pow):
-            bits = max(abs(left.numerator), left.denominator).bit_length()
-            if right.denominator == 1 and bits * abs(right) <= _MAX_BITS and (left or right > 0):
-                return Fraction(left ** int(right))
-        elif type(tree.op) in _OPERATORS:
-            return Fraction(_OPERATORS[type(tree.op)](left, right))
-    raise ValueError("this is no arithmetic")
 
 
 class Unit(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from itertools import groupby
 
+from gem_math.grading.arithmetic import number_of
 from gem_math.grading.forms import (
     Cases,
     Choice,
@@ -17,7 +18,7 @@ from gem_math.grading.forms import (
     Words,
     spread,
 )
-from gem_math.grading.quantities import NUMBER_WORDS, Leaf, number_of, read_compound, read_quantity, without_dots
+from gem_math.grading.quantities import NUMBER_WORDS, Leaf, read_compound, read_quantity, without_dots
 from gem_math.grading.text import (
     UnreadableError,
     has_no_brackets,
