@@ -178,12 +178,6 @@ M2 = f"<minimax:tool_call>\n{invoke()}\n</minimax:tool_call>"
 CALLS_END = "<｜tool▁calls▁end｜><｜end▁of▁sentence｜>"
 KIMI = "<|tool_calls_section_begin|>{}<|tool_calls_section_end|>"
 HARMONY = f"<|channel|>commentary to=functions.python <|constrain|>json<|message|>{A1}"
-OLD_INVOKE = f"<invoke>\n<tool_name>python</tool_name>\n<parameters>\n<code>{CODE}</code>\n</parameters>\n</invoke>"
-
-
-def m3(*tags: str) -> str:
-    """Return a call of MiniMax M3, which writes a mark before each tag."""
-    return "".join(f"]<]minimax[>[<{tag}" for tag in ("tool_call>\n", *tags, "/invoke>\n", "/tool_call>"))
 
 
 def lfm2(*calls: str) -> str:

@@ -74,7 +74,7 @@ def processes(pool: Pool) -> list[int]:
         found = []
         for cell in pool.cells:
             if cell.process is not None:
-                found += [cell.process.pid, *usage.descendants(proc, cell.process.pid)]
+                found += usage.tree(proc, [cell.process.pid])
         return found
     finally:
         os.close(proc)
@@ -125,8 +125,8 @@ class Watched:
         self.count = len(processes(pool))
 
     def usual(self) -> int:
-        """Return how many processes a sandbox has that waits for a call: its own, and those that were forked ahead."""
-        return 5 + (2 if self.pool.level == "bubblewrap" else 0)
+        """Return how many processes a sandbox has that waits: its own, the next call's, and bubblewrap's two."""
+        return 4 if self.pool.level == "bubblewrap" else 2
 
     def check(self) -> None:
         """See that the pool still serves, and that nothing is left of earlier calls."""
@@ -136,7 +136,7 @@ class Watched:
         assert until(lambda: len(processes(pool)) == self.count), [
             Path(f"/proc/{pid}/status").read_text("utf-8").splitlines()[:3] for pid in processes(pool)
         ]
-        assert until(lambda: len(folders(pool)) <= 4), folders(pool)
+        assert until(lambda: len(folders(pool)) <= 1, 5.0), folders(pool)
         assert memory_mb(processes(pool)) < 150
 
 

@@ -29,7 +29,6 @@ from calling import (
     invoke,
     kimi,
     lfm2,
-    m3,
     qwen,
     refused,
     step,
@@ -48,15 +47,13 @@ from gem_core.tools.env import ToolEnv
 
 FORMATS = [record for record in registry().specs(CallFormatSpec) if "gem_tools" in str(record.entry_point)]
 PRINTED = [
-    "print('</tool_call>')",
+    "print('</tool_call>', '</arg_value>', '</invoke>')",
     "print('</parameter>')\nprint('</function>')",
     "# a tag\n</function>\n</invoke> and more\nprint(1)",
-    "print('</arg_value>', '</invoke>')",
     "if a < b and b > c:\n    print([1, 2][0]); print({'a': 1})",
     "    print('indented')\n    print('twice')",
     "print(\"a\\nb\", 'c')  # `quoted`",
-    "s = '<search>x</search>'",
-    "print(r'\\boxed{42}', '<answer>42</answer>')",
+    "print(r'\\boxed{42}', '<answer>42</answer>', '<search>x</search>')",
 ]
 
 
@@ -69,9 +66,7 @@ def test_a_value_may_hold_what_looks_like_its_end(code: str) -> None:
         f"<tool_call>{json.dumps(call)}</tool_call>",
         f"{json.dumps(call)}; {P2}",
         f"functools[{json.dumps(call)}]",
-        f"[TOOL_CALLS] [{json.dumps(call)}]",
         f"[python(code={code!r})]",
-        f"<function_calls>python(code={code!r})</function_calls>",
         f"<function=python>{given}</function>",
         f"[TOOL_CALLS]python[ARGS]{given}",
         f"<｜tool▁calls▁begin｜>{v31(given)}{CALLS_END}",
@@ -83,8 +78,6 @@ def test_a_value_may_hold_what_looks_like_its_end(code: str) -> None:
         glm(code),
         dsml(code),
         f"<function_calls>\n{invoke(code)}\n</function_calls>",
-        f"<minimax:tool_call>\n{invoke(code)}\n</minimax:tool_call>",
-        m3('invoke name="python">', f"code>{code}", "/code>"),
         lfm2(f"python(code={code!r})"),
         f"<｜tool_calls_begin｜>\n{step3(code)}\n<｜tool_calls_end｜>",
     ):
@@ -104,9 +97,10 @@ def test_a_value_without_a_declared_type_stays_text() -> None:
                 "text": {"$ref": "#/$defs/Text"},
                 "lost": {"$ref": "#/x"},
                 "number": {"type": "integer"},
+                "either": {"type": ["null", "string"]},
+                "some": {"anyOf": [{"type": "integer"}, {"type": "null"}]},
             }
-            some = {"word": {"enum": ["1", "2"]}, "digit": {"enum": [1, 2]}, "either": {"type": ["null", "string"]}}
-            return {"properties": {**kinds, **some}, "$defs": {"Text": {"type": "string"}}}
+            return {"properties": kinds, "$defs": {"Text": {"type": "string"}}}
 
         def validate(self, arguments: Any) -> Any:
             return arguments
@@ -116,10 +110,10 @@ def test_a_value_without_a_declared_type_stays_text() -> None:
 
     env = ToolEnv(Recorder(), [Served()])
     env.reset()
-    names = ["any", "text", "lost", "number", "word", "digit", "either", "unknown"]
+    names = ["any", "text", "lost", "number", "either", "some", "unknown"]
     given = "".join(f"<parameter={name}>1</parameter>" for name in names)
     called = env.step(f"<tool_call><function=served>{given}</function></tool_call>")[4]["tool"]["arguments"]
-    assert [name for name, value in called.items() if value == 1] == ["number", "digit"]
+    assert [name for name, value in called.items() if value == 1] == ["number", "some"]
     assert {str(value) for value in called.values()} == {"1"}
 
 
@@ -132,7 +126,6 @@ def test_one_tag_may_hold_several_bodies() -> None:
 
 def test_marks_that_look_alike_are_told_apart() -> None:
     """Trap 2: the name stands before or behind the separator, and bars are of two kinds."""
-    assert called(f"<｜tool▁calls▁begin｜>{v3()}{CALLS_END}") == called(f"<｜tool▁calls▁begin｜>{v31()}{CALLS_END}")
     assert "no tool 'function'" in refused(v31().replace("python", "function"))
     assert called(f"<|tool_call|>[{J1}]") == called('<|tool_call>call:python{code:"print(6*7)"}') == RUN
 
@@ -152,12 +145,8 @@ def test_code_for_the_tool_python_is_taken_as_it_is(code: str) -> None:
         f"[THINK][TOOL_CALLS]python[ARGS]{A1}[/THINK]",
         f"<seed:think>{SEED}</seed:think>",
         f"<|START_THINKING|>{cohere(CODE)}<|END_THINKING|>",
-        f"<thinking>{qwen()}</thinking>",
-        "<thought><python>1</python></thought>",
         f"◁think▷{J1}◁/think▷",
         f"<|channel>thought\n{J1}<channel|>",
-        f"<longcat_think>{glm()}</longcat_think>",
-        f"<mm:think>{M2}</mm:think>",
         f"{M2}</mm:think>",
         "<|channel|>analysis<|message|>functions.python? <python>1</python><|end|><|start|>assistant<|channel|>final",
     ],
@@ -172,7 +161,6 @@ def test_a_quoted_call_is_not_executed() -> None:
     """Trap 8: in backticks, or if the answer is given already, a call is only spoken of."""
     for text in (
         f"One calls it as `<tool_call>{J1}</tool_call>`, `[TOOL_CALLS]` or `<execute>1</execute>`.",
-        "The mark `<|python_tag|>` begins a call, `<search>` a search.",
         f"The answer is \\boxed{{42}}.\n{J1}",
         f"{P1}\n\n<answer>42</answer>",
         '[python(code="print(6*7)")] \\boxed{42}',
@@ -189,20 +177,8 @@ def test_a_call_that_was_cut_off_by_length_is_not_executed() -> None:
         assert "never closed" in told
         assert "the response was cut off at the limit of its length" in told
     assert called(gem.Response(f"<tool_call>{J1}", finish_reason="length")) == RUN
-    for text in (
-        J1[:-20],
-        P1[:-3],
-        f"<tool_call>{J1[:-9]}",
-        f"[TOOL_CALLS]python{A1[:-5]}",
-        f"<function=python>{A1[:-5]}",
-    ):
-        assert refused(text)
-
-
-def test_a_call_is_read_without_its_special_tokens() -> None:
-    """Trap 10: servers leave them out."""
-    assert called(f"commentary to=functions.python json{A1}") == RUN
-    assert called(P1) == called(CODE.join(('[python(code="', '")]'))) == called(f"[{J1}]") == RUN
+    for cut in (J1[:-20], P1[:-3], f"<tool_call>{J1[:-9]}", f"[TOOL_CALLS]python{A1[:-5]}"):
+        assert refused(cut)
 
 
 @pytest.mark.parametrize("name", ["plan-trip", "functions.plan-trip", "plan-trip:3", "functions.plan-trip:12"])
@@ -215,30 +191,33 @@ def test_names_are_freed_of_what_some_families_add(name: str) -> None:
 def test_arguments_may_be_json_in_a_string() -> None:
     """Trap 12, in every form of JSON."""
     nested = json.dumps({"name": "plan-trip", "arguments": json.dumps({"city": "Oslo", "days": 2})})
-    for text in (nested, f"[{nested}]", f"<tool_calls>[{nested}]</tool_calls>", f"functools[{nested}]"):
+    for text in (nested, f"<tool_calls>[{nested}]</tool_calls>", f"functools[{nested}]"):
         assert called(text) == ("plan-trip", {"city": "Oslo", "days": 2})
 
 
-def test_the_first_match_counts_in_every_form() -> None:
-    """Trap 13: elsewhere it is the last, or all of them."""
-    for opening, closing in (("<search>", "</search>"), ("<|begin_search_query|>", "<|end_search_query|>")):
-        assert called(f"{opening}a{closing} {opening}b{closing}") == ("search", {"query": "a"})
-    assert called("```python\n1\n```\n```python\n2\n```") == ("python", {"code": "1"})
+@pytest.mark.parametrize(
+    ("literal", "value"),
+    [
+        (r"'a\d\\d\n'", "a\\d\\d\n"),
+        ("'''a\n\"b\"'''", 'a\n"b"'),
+        ("'a\nb'", "a\nb"),
+        (r"r'\n'", "\\n"),
+        (r"'\x41\u00e9'", "Aé"),
+        ('"a" "b"', "ab"),
+    ],
+)
+def test_texts_in_python_are_read(literal: str, value: str) -> None:
+    """With Python's escapes, and with line breaks and escapes that it does not know."""
+    assert called(f"[python(code={literal})]") == ("python", {"code": value})
 
 
-def test_marks_of_papers_and_readmes_are_no_calls() -> None:
-    """Trap 14: they are no tokens of the models; nor is a mark without its bars."""
+def test_marks_of_papers_and_headers_of_harmony_that_are_no_calls() -> None:
+    """Traps 14 and 15: they are no tokens of the models, or no message to a tool."""
     assert called("<begin_of_search>white rhino<end_of_search>") is None
-    assert called("tool_call_begin functions.python:0") is None
-
-
-def test_harmony_needs_no_fixed_header() -> None:
-    """Trap 15: neither the start of the message nor the constraint."""
-    assert called(f"<|channel|>commentary to=functions.python<|message|>{A1}") == RUN
     assert called("<|channel|>final<|message|>I wrote to=functions.python before.<|return|>") is None
 
 
-EXAMPLES = [*ONE_CALL.values(), "<|begin_of_query|>", "<|begin_search_query|>", "<plan-trip>{"]
+EXAMPLES = [*ONE_CALL.values(), "<|begin_of_query|>", "<|begin_search_query|>"]
 OPENINGS = {
     record.name: [found[0] for text in EXAMPLES for found in re.finditer(record.opening, text)] for record in FORMATS
 }
@@ -246,45 +225,30 @@ OPENINGS = {
 
 def test_every_row_of_the_table_is_tried() -> None:
     """Trap 16: names of parsers move, letters do not; no row is without an example above."""
-    assert len(FORMATS) > 40
+    assert len(FORMATS) > 25
     assert [name for name, found in OPENINGS.items() if not found] == []
 
 
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("[TOOL_CALLS]", "behind [TOOL_CALLS] is no valid JSON: Expecting value"),
-        ("[TOOL_CALLS] soon", "behind [TOOL_CALLS] is no valid JSON: Expecting value"),
-        ("<｜tool▁calls▁begin｜>hm", "behind <｜tool▁calls▁begin｜> is no valid JSON"),
+        ("[TOOL_CALLS] soon", "behind [TOOL_CALLS]: no valid JSON: Expecting value"),
         (f"<function=python>{A1[:-1]}", "its arguments are no valid JSON: Expecting ',' delimiter"),
         ("<function=python></function>", "code: Field required"),
+        ("<function=python>print(1)</function>", "neither JSON nor parameters"),
         ("<|tool_call>call:python{code:print}<tool_call|>", "its arguments are no valid JSON"),
         ("<function_calls>python(code=open(1))</function_calls>", "its arguments are no literals of Python"),
         ("[python(code=6*7)]", "its arguments are no literals of Python"),
-        (
-            f"<function=pythn>{A1}</function>",
-            "no tool 'pythn'. Did you mean 'python'? There are: python, search, plan-trip",
-        ),
-        (
-            f"<function_calls>{invoke().replace('python', 'bash')}</function_calls>",
-            "no tool 'bash'. There are: python,",
-        ),
-        (f"[TOOL_CALLS]bash{A1}", "no tool 'bash'. There are: python, search"),
+        (f"<function=pythn>{A1}</function>", "no tool 'pythn'. Did you mean 'python'?"),
+        (f"<function_calls>{invoke().replace('python', 'bash')}</function_calls>", "no tool 'bash'. There are: python"),
         (KIMI.format(kimi().replace("python", "bash")), "no tool 'functions.bash:0'. There are: python, search"),
-        (glm().replace("python", "bash"), "no tool 'bash'. There are: python, search"),
         (HARMONY.replace("python", "bash"), "no tool 'functions.bash'. There are: python, search"),
         ("Action: bash\nAction Input: ls\nObservation:", "no tool 'bash'. There are: python, search"),
         ('{"type": "function", "name": "bash", "parameters": {}}', "no tool 'bash'. There are: python, search"),
-        (f"so: {J1} it is", "a call in JSON must stand between <tool_call> and </tool_call>"),
-        ('{"name": "python", "arguments": {"code": "print("1")"}}', "the call is no valid JSON, or is not complete"),
-        ("<execute>", "<execute> is never closed by </execute>"),
-        ('```tool_code\nget_weather(city="Oslo")\n```', "no tool 'get_weather'"),
-        ("```tool_code\nsearch(query=open(1))\n```", "its arguments are no literals of Python"),
-        (f'<|tools_prefix|>[{{"pythn": {A1}}}]', "no tool 'pythn'. Did you mean 'python'?"),
-        (m3('invoke name="bash">', "code>1", "/code>"), "no tool 'bash'. There are: python, search"),
-        ("]<]minimax[>[<tool_call>hm", "stands no call"),
-        ("<tool_call><tool_name>python</tool_name>1</tool_call>", "behind <tool_name> must stand <arguments>"),
-        ("<|begin_search_query|>", "<|begin_search_query|> is never closed by <|end_search_query|>"),
+        ('{"name": "python", "arguments": {"code": "print("1")"}}', "no valid JSON"),
+        ("<execute>", "it is never closed by </execute>"),
+        ("<tool_call><tool_name>python</tool_name>1</tool_call>", "no valid JSON"),
+        ("<|begin_search_query|>", "it is never closed by <|end_search_query|>"),
         ('{"name": "plan-trip", "arguments": "Oslo"}', "its arguments are no valid JSON: Expecting value"),
         ("<search>rhino <answer>42</answer>", "<search> is never closed by </search>"),
     ],
@@ -309,41 +273,30 @@ def test_a_form_without_a_name_needs_a_tool_that_takes_it() -> None:
 
 
 ANSWERS = [
-    "42",
     "",
     '{"name": "Al", "age": 3}',
     '[{"name": "Al", "arguments": ["for", "against"]}]',
     '{"name": "bash", "arguments": {"command": "ls"}}',
     '{"name": "python"}',
     '{"language": "python", "code": "print(1)"}',
-    '{"search": "x"}',
+    f"so: {J1} it is",
     "['python', 'search']",
-    "[1, 2, 3]",
     "[f(x=1)]",
-    "(3, 4)",
-    "python",
     "python\nis a snake",
     "search\n\nthe house",
     "def search(query):\n    return query\n\nprint(search(1))",
     "```text\n<python>1</python>\n```",
-    "```c\nint main() { return 0; }\n```",
-    "Use the <code>print</code> function of <b>Python</b>.",
     "<code>print</code> writes, <code>input</code> reads.",
     r"$\left[ x \right]_{0}^{1}$ and \[ f(x) = \{1, 2\} \] so \boxed{\{1\}}",
-    "Action: up",
     "Action: move[up]",
     "Action: press the button\nReason: it is red",
-    "I searched, and used python to compute it: 42.",
     "The action input is 3; to=me",
-    ">>> print(1)\n1",
     "I start it:\n>>> python\nimport os",
     "python\n<|content|>print(1)",
     "I wrote ```tool_code before.",
-    "I call: nobody{x:1}",
     "functools.partial(f, 1)",
     "I passed functools[0] on.",
     "From: a@b.c\nto=functions",
-    'He said "python" and {curly} [square] <angle>.',
     f"<answer>{J1}</answer>",
     f"```text\n{J1}\n```",
 ]
@@ -372,21 +325,11 @@ def test_answers_in_code_stay_the_tasks() -> None:
 
 PIECES = [
     *sorted({found for each in OPENINGS.values() for found in each if found.strip()}),
-    *('{"name": "python", ', '"arguments": ', A1, J1, "{", "}", "[", "]", "(", ")", '"', "'", "`", "\\", ",", ":", "="),
-    *("</tool_call>", "</parameter>", "<parameter=code>", "</function>", "</invoke>", 'name="python">', "python", "\n"),
-    *("<arg_key>", "</arg_key>", "<arg_value>", "</arg_value>", "<think>", "</think>", "<answer>", "</answer>", "```"),
-    *(
-        "\\boxed{42}",
-        "Action: python\n",
-        ": ",
-        "functions.python",
-        "<|message|>",
-        "<|call|>",
-        "[ARGS]",
-        "<escape>",
-        " ",
-    ),
-    *("<｜tool▁sep｜>", "<tool_sep>", '<|"|>', "<search>", "</search>", "print(1)", "code=", "\ud800", "."),
+    *('{"name": "python", ', '"arguments": ', A1, J1, *'{}[]()"`\\,:=.', "'", "```", "\ud800", "\n", " "),
+    *("</tool_call>", "</parameter>", "<parameter=code>", "</function>", "</invoke>", 'name="python">', "python"),
+    *("<arg_key>", "</arg_key>", "<arg_value>", "</arg_value>", "<think>", "</think>", "<answer>", "</answer>"),
+    *("\\boxed{42}", "Action: python\n", ": ", "functions.python", "<|message|>", "<|call|>", "[ARGS]", "<escape>"),
+    *("<｜tool▁sep｜>", "<tool_sep>", '<|"|>', "<search>", "</search>", "print(1)", "code="),
 ]
 TEXTS = st.lists(st.sampled_from(PIECES) | st.text(max_size=2), max_size=20).map("".join)
 

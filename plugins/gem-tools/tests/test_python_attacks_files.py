@@ -13,7 +13,7 @@ import pytest
 from python_levels import SMALL, Watched, attack, each_level, new_pool
 
 from gem_tools.python import Limits
-from gem_tools.python.inside import folders, forks
+from gem_tools.python.inside import confine
 
 watched = each_level()
 
@@ -215,18 +215,6 @@ def test_leaving_a_file_without_a_trace_in_times(watched: Watched) -> None:
     """A file made in the same tick of the kernel's clock as its folder, or with the times put back, goes as well."""
     if watched.pool.level != "bubblewrap":
         pytest.skip("each call has a folder of its own")
-    folder = os.stat_result((0o40700, 2, 1, 2, 0, 0, 40, 5, 5, 5))
-    empty, one_file = (
-        os.statvfs_result((4096, 4096, 100, free, free, 50, inodes, inodes, 0, 255))
-        for free, inodes in ((100, 49), (100, 48))
-    )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(forks.os, "stat", lambda path: folder)
-        states = []
-        for system in (empty, one_file):
-            patch.setattr(forks.os, "statvfs", lambda path, system=system: system)
-            states.append(forks.Forks.folder_state(None))
-    assert states[0] != states[1]
     code = "import os\nat = os.stat('.').st_mtime_ns\nopen('random.py', 'w').write('1 / 0')\nos.utime('.', ns=(at, at))"
     assert attack(watched, code).status == "ok"
 
@@ -255,7 +243,7 @@ for _ in range(50):
 
 def test_removing_folders_of_any_depth_and_permission(tmp_path: Path) -> None:
     """Without a path that grows too long, and without changing the working folder of this process."""
-    top = folders.make(str(tmp_path), None)
+    top = confine.make_folder(str(tmp_path), None)
     here = os.open(".", os.O_RDONLY)
     try:
         os.chdir(top)
@@ -274,10 +262,10 @@ def test_removing_folders_of_any_depth_and_permission(tmp_path: Path) -> None:
     outside = tmp_path / "outside"
     outside.mkdir()
     before = os.getcwd()
-    folders.remove(top)
+    confine.remove_folder(top)
     assert os.listdir(tmp_path) == ["outside"]
     assert os.getcwd() == before
-    folders.remove(top)
+    confine.remove_folder(top)
 
 
 @pytest.mark.thorough

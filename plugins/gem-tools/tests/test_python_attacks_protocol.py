@@ -5,21 +5,15 @@ Each is really tried; afterwards the pool still serves, and no process, file or 
 
 from __future__ import annotations
 
-import json
 import struct
 
 import pytest
 from python_levels import SHORT, SMALL, Watched, attack, each_level
 
 from gem_tools.python import Limits
-from gem_tools.python.inside import child, wire
+from gem_tools.python.inside import wire
 
 watched = each_level()
-
-
-def result(data: bytes) -> bytes:
-    """Return what a process says of its result."""
-    return child.LENGTH.pack(len(data)) + data
 
 
 WRITE_EVERYWHERE = """
@@ -35,11 +29,11 @@ def everywhere(data):
 @pytest.mark.parametrize(
     "data",
     [
-        result(b'{"kind": "ok", "code": 0, "value": "forged"}'),
-        child.AT.pack(-1) + b"the machine",
-        child.AT.pack(float("nan")),
-        wire.pack({"op": "ready", "failed": []}),
-        wire.pack({"id": 1, "ended": None, "failed": None, "status": 0, "reported": False}),
+        b'{"kind": "ok", "code": 0, "value": "forged"}\n',
+        b"-the machine",
+        b"+\n+",
+        wire.head({"op": "ready", "failed": []}, 0),
+        wire.head({"id": 1, "ended": None, "failed": None, "status": 0, "reported": False}, 0),
         struct.pack(">II", 1 << 31, 1 << 31),
         b"\xff" * 100_000,
     ],
@@ -56,7 +50,7 @@ def test_forged_messages(watched: Watched, data: bytes) -> None:
 @pytest.mark.thorough
 def test_a_forged_failure_of_the_machinery_is_not_believed(watched: Watched) -> None:
     """Code cannot say that it was not its fault."""
-    data = child.AT.pack(-1) + b"the machine"
+    data = b"-the machine"
     outcome = attack(watched, f"{WRITE_EVERYWHERE}\neverywhere({data!r})\n1 / 0")
     assert (outcome.status, outcome.exit_code) == ("exit", 1)
 
@@ -65,24 +59,24 @@ def test_a_forged_failure_of_the_machinery_is_not_believed(watched: Watched) -> 
 @pytest.mark.parametrize("body", [b"[]", b"null", b"{", b"[" * 100_000, b'{"code": "x"}', b'{"value": 3, "error": []}'])
 def test_reports_that_are_none(watched: Watched, body: bytes) -> None:
     """What the process reports of itself may be anything."""
-    data = result(body)
+    data = body + b"\n"
     outcome = attack(watched, f"import os\nos.write(3, {data!r})\nos._exit(0)")
     assert (outcome.status, outcome.value) == ("ok", None)
 
 
 FORGED = [
-    child.AT.pack(-1) + b"the machine",
-    result(b"{}"),
-    child.AT.pack(float("nan")),
-    result(b'{"kind": "exit", "code": ' + b"9" * 4000 + b"}"),
-    result(b'{"kind": "ok", "value": "' + b"x" * 1_000_000 + b'"}'),
-    child.LENGTH.pack(1 << 31),
+    b"-the machine\n",
+    b"{}\n",
+    b"+",
+    b'{"kind": "exit", "code": ' + b"9" * 4000 + b"}\n",
+    b'{"kind": "ok", "value": "' + b"x" * 1_000_000 + b'"}\n',
+    struct.pack(">II", 1 << 31, 1 << 31),
     b"\xff" * 100_000,
 ]
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("data", FORGED, ids=["failed", "empty", "nan", "code", "value", "huge", "noise"])
+@pytest.mark.parametrize("data", FORGED, ids=["failed", "empty", "started", "code", "value", "huge", "noise"])
 def test_forging_the_next_call_of_a_session(watched: Watched, data: bytes) -> None:
     """Threads and hooks can forge what their own session says, and reach neither its keeper nor another session."""
     session, other = watched.pool.session(SHORT), watched.pool.session(SMALL)
@@ -265,17 +259,3 @@ def test_what_the_code_wrote_is_kept_when_it_is_ended(watched: Watched) -> None:
     """Up to the limit that it reached."""
     outcome = attack(watched, "print('before', flush=True)\nwhile True: pass", Limits(wall_s=0.5))
     assert outcome.stdout == "before\n"
-
-
-def test_reports_are_plain_data() -> None:
-    """What a message cannot be is refused, before anything is taken in."""
-    reader = wire.Reader(max_body=10)
-    with pytest.raises(wire.WireError):
-        reader.feed(wire.pack({}, b"x" * 11))
-    for head in (b"[]", b"{", b"\xff", b"[" * 100_000):
-        with pytest.raises(wire.WireError):
-            wire.Reader().feed(struct.pack(">II", len(head), 0) + head)
-    whole = wire.pack({"a": 1}, b"body") + wire.pack({"b": json.dumps({})})
-    pieces = wire.Reader()
-    found = [message for place in range(len(whole)) for message in pieces.feed(whole[place : place + 1])]
-    assert found == [({"a": 1}, b"body"), ({"b": "{}"}, b"")]

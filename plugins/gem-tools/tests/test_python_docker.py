@@ -18,7 +18,7 @@ import pytest
 from python_levels import docker, image, pool_of, until
 
 from gem_core.errors import MissingRequirementError
-from gem_tools.python import Limits, Pool, SandboxError, cell
+from gem_tools.python import Limits, Pool, SandboxError, sandbox
 from gem_tools.python import docker as containers
 
 pytestmark = pytest.mark.thorough
@@ -130,7 +130,7 @@ def test_no_container_after_close(running: Pool) -> None:
 
 def test_a_container_that_hangs_is_removed(running: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
     """One whose processes do not see that their input has ended."""
-    monkeypatch.setattr(cell, "END_S", 0.2)
+    monkeypatch.setattr(sandbox, "END_S", 0.2)
     name = container(running)
     assert docker("pause", name).returncode == 0
     running.close()
@@ -151,7 +151,7 @@ def test_a_container_is_killed_in_the_middle(running: Pool, what: str) -> None:
 
     thread = threading.Thread(target=call)
     thread.start()
-    assert until(lambda: running.cells[0]._answer is not None)
+    assert until(lambda: running.cells[0].answer is not None)
     if what == "container":
         docker("kill", name)
     else:

@@ -338,7 +338,7 @@ def test_closing_a_pool_ends_the_calls_in_it(pool: Pool) -> None:
 @pytest.mark.thorough
 def test_a_sandbox_that_hangs_is_given_up(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its keeper is stopped here; the call fails as a fault of the machinery, and the next is served."""
-    monkeypatch.setattr("gem_tools.python.cell.GRACE_S", 0.2)
+    monkeypatch.setattr("gem_tools.python.sandbox.GRACE_S", 0.2)
     for cell in pool.cells:
         for pid in processes(pool):
             os.kill(pid, signal.SIGSTOP)
@@ -392,7 +392,7 @@ def test_nothing_is_left_after_many_calls(pool: Pool) -> None:
         assert until(lambda: len(processes(pool)) == usual)
 
     asyncio.run(some(20))
-    usual = 2 * (7 if pool.level == "bubblewrap" else 5)
+    usual = 2 * (4 if pool.level == "bubblewrap" else 2)
     rest()
     before, files = open_files(), sandbox_files(pool)
     asyncio.run(some(400))
@@ -444,13 +444,13 @@ def test_nothing_is_left_when_the_process_ends(level: str, how: str) -> None:
     pool_of(level).close()
     end = {"end": "", "exception": "raise ValueError"}.get(how, "while True:\n    threading.Event().wait(0.1)")
     path = [str(Path(__file__).parent), *filter(None, sys.path)]
-    code = PROGRAM.format(path=path, level=level, end=end, least=5 if level == "bubblewrap" else 4)
+    code = PROGRAM.format(path=path, level=level, end=end, least=5 if level == "bubblewrap" else 3)
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     assert process.stdout is not None
     with process.stdout:
         pids = [int(word) for word in process.stdout.readline().split()]
         bases = process.stdout.readline().decode().split()
-        assert len(pids) >= (5 if level == "bubblewrap" else 4)
+        assert len(pids) >= (5 if level == "bubblewrap" else 3)
         number = {"interrupt": signal.SIGINT, "kill": signal.SIGKILL, "terminate": signal.SIGTERM}.get(how)
         if number is not None:
             process.send_signal(number)

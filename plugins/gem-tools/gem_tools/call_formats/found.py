@@ -11,14 +11,12 @@ from gem_tools.call_formats.values import RawText, loaded, typed
 
 Tools = Mapping[str, Tool]
 
-NO_JSON = "is no valid JSON"
-
 # Kimi numbers its calls, and harmony has a namespace for functions.
 _DECORATED = re.compile(r"(?:functions\.)?(.*?)(?::\d+)?", re.DOTALL)
 
 # What may close a call, and belongs to it: spare brackets, closing tags, and tokens at the end of a turn.
 _CLOSINGS = re.compile(
-    r"(?:\s*+(?:\]<\]minimax\[>\[</(?:invoke|tool_call)>|[\]}]|</[\w:｜]{0,40}?(?:tool_calls?|function_calls?|function|invoke|TOOLCALL)(?::\w{1,40})?>"
+    r"(?:\s*+(?:[\]}]|</[\w:｜]{0,40}?(?:tool_calls?|function_calls?|function|invoke|TOOLCALL)(?::\w{1,40})?>"
     r"|<[|｜][\w▁]{0,40}?(?:end|END|suffix)[\w▁]{0,40}[|｜]>"
     r"|<\|(?:call|eot|eot_id|eom_id|stop)\|>|<end_function_call>|<tool_call\|>|</s>))*"
 )
@@ -66,22 +64,18 @@ def reads(parse: Parser, *, sure: bool = True) -> Reader:
         text, mark = opening.string, opening[0]
         call = parse(text, opening.start(), opening.end(), tools)
         if call is None and sure:
-            call = ParsedCall("", None, 0, problem=f"behind {mark} stands no call")
-        if call is not None and not call.cut:
-            call = _with_closing(mark, text, opening.end(), call)
-        return None if call is None else tool_call(call, opening.start(), tools)
+            call = ParsedCall("", None, 0, problem="there stands no call")
+        if call is None:
+            return None
+        if call.problem is not None:
+            closing = f"</{mark[1:]}" if _CLOSED.fullmatch(mark) else ""
+            end = text.find(closing, opening.end()) + len(closing) if closing and closing in text else call.end
+            call = call._replace(problem=f"behind {mark}: {call.problem}", end=end)
+        elif not call.cut:
+            call = call._replace(end=closed(text, call.end))
+        return tool_call(call, opening.start(), tools)
 
     return read
-
-
-def if_whole(parse: Parser) -> Parser:
-    """Return a parser for which a call that cannot be read is none, as other text looks like its beginning."""
-
-    def parse_whole(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
-        call = parse(text, start, at, tools)
-        return None if call is None or call.problem is not None else call
-
-    return parse_whole
 
 
 def tool_call(call: ParsedCall, start: int, tools: Tools) -> ToolCall:
@@ -100,12 +94,13 @@ def tool_call(call: ParsedCall, start: int, tools: Tools) -> ToolCall:
         name = plain[1] if plain and plain[1] in tools else name
     if name not in tools:
         return ToolCall(name[:100], {}, start, call.end, unknown_tool(name, tools))
-    arguments, error = _arguments(call.arguments, tools[name])
-    if error is None and not isinstance(arguments, dict):
-        error = "its arguments must be an object of names and values"
-    cut = error is None and call.cut  # else closing it would not make it a call
-    given = arguments if error is None else {}
-    return ToolCall(name[:100], given, start, call.end, "it is never closed" if cut else error, cut=cut)
+    try:
+        arguments = _arguments(call.arguments, tools[name])
+    except ValueError as error:
+        return ToolCall(name, {}, start, call.end, f"its arguments are no valid JSON: {error}"[:250])
+    if not isinstance(arguments, dict):
+        return ToolCall(name, {}, start, call.end, "its arguments must be an object of names and values")
+    return ToolCall(name, arguments, start, call.end, "it is never closed" if call.cut else None, cut=call.cut)
 
 
 def tool_taking(parameter: str, tools: Tools) -> Tool | None:
@@ -114,9 +109,8 @@ def tool_taking(parameter: str, tools: Tools) -> Tool | None:
     Code also goes to one that runs fenced blocks of Python.
     """
     for tool in tools.values():
-        if tool.text_parameter == parameter or (
-            parameter == "code" and tool.text_parameter and "python" in tool.fences
-        ):
+        runs_python = parameter == "code" and tool.text_parameter and "python" in tool.fences
+        if tool.text_parameter == parameter or runs_python:
             return tool
     return None
 
@@ -127,40 +121,19 @@ def closed(text: str, end: int) -> int:
     return found.end() if found else end
 
 
-def _with_closing(mark: str, text: str, at: int, call: ParsedCall) -> ParsedCall:
-    """Return a call with what closes it, or with the problem in words that name the marks."""
-    closing = f"</{mark[1:]}" if _CLOSED.fullmatch(mark) else ""
-    end = call.end if call.problem else closed(text, call.end)
-    if call.problem is None:
-        rest = text.find(closing, end) if closing and end == call.end and text[end - 1] == "}" else -1
-        if rest < 0 or not text[end:rest].lstrip()[:1].isalnum():
-            return call._replace(end=end)
-        call = call._replace(problem=f"{NO_JSON}: Extra data behind it")
-    problem = str(call.problem)
-    end = text.find(closing, at) if closing else -1
-    if closing and end < 0 and problem.startswith((NO_JSON, "behind")):
-        return call._replace(problem=f"{mark} is never closed by {closing}")
-    if problem.startswith(NO_JSON):
-        where = f"between {mark} and {closing}" if closing else f"behind {mark}"
-        problem = f"{where} {problem}"
-    return call._replace(problem=problem, end=max(end + len(closing), call.end) if end >= 0 else call.end)
-
-
-def _arguments(given: Any, tool: Tool) -> tuple[Any, str | None]:
+def _arguments(given: Any, tool: Tool) -> Any:
     parameter = tool.text_parameter
     if given is None:
-        return {}, None
-    if isinstance(given, str):
-        if given.lstrip().startswith("{"):
-            read = loaded(given)
-            of_the_tool = isinstance(read.value, dict) and (parameter is None or parameter in read.value)
-            if of_the_tool or not (parameter and isinstance(given, RawText)):
-                return read.value, f"its arguments are no valid JSON: {read.problem}" if read.problem else None
-        if parameter is not None:
-            return {parameter: tool.unfenced(given) if isinstance(given, RawText) else given}, None
-        read = loaded(given)
-        return read.value, f"its arguments are no valid JSON: {read.problem}" if read.problem else None
-    if isinstance(given, dict) and any(isinstance(value, RawText) for value in given.values()):
-        schema = tool.parameters_schema()
-        return {name: typed(value, name, schema) for name, value in given.items()}, None
-    return given, None
+        return {}
+    if isinstance(given, dict):
+        schema = tool.parameters_schema() if any(isinstance(value, RawText) for value in given.values()) else {}
+        return {name: typed(value, name, schema) for name, value in given.items()}
+    if not isinstance(given, str):
+        return given
+    if parameter is not None and isinstance(given, RawText):
+        try:
+            value = loaded(given)
+        except ValueError:
+            value = None
+        return value if isinstance(value, dict) and parameter in value else {parameter: tool.unfenced(given)}
+    return {parameter: given} if parameter is not None and not given.lstrip().startswith("{") else loaded(given)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import ast
+import contextlib
 import json
 import math
 import re
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from gem_core.tools import json_at
 
-_TOO_DEEP = "it is nested too deeply"
 _MOST_DEPTH = 99
 
 
@@ -18,24 +19,6 @@ class RawText(str):
     """Raw text of the response, not JSON; the schema of the tool decides its type."""
 
     __slots__ = ()
-
-
-class ParseResult(NamedTuple):
-    """The result of reading a text: a value, or an error."""
-
-    value: Any
-    problem: str | None = None
-
-
-def loaded(text: str) -> ParseResult:
-    """Return the one value that a text holds."""
-    try:
-        value, end = value_at(text, 0)
-        if not text[end:].strip():
-            return ParseResult(value)
-        return ParseResult(None, f"Extra data behind {text[:end].strip()[-20:]!r}")
-    except ValueError as error:
-        return ParseResult(None, str(error)[:200])
 
 
 def value_at(text: str, at: int) -> tuple[Any, int]:
@@ -52,37 +35,45 @@ def value_at(text: str, at: int) -> tuple[Any, int]:
         return json_at(text, at)
     except ValueError as problem:
         try:
-            return _literal(text, at, 0)
+            source, end = _python_at(text, at)
+            return _evaluated(source), end
         except ValueError:
             raise problem from None
 
 
-def skip_blanks(text: str, at: int) -> int:
-    """Return the index of the first character from a place on that is no white space."""
-    found = _BLANKS.match(text, at)
-    return found.end() if found else at
+def loaded(text: str) -> Any:
+    """Return the one value that a text holds.
+
+    Raises:
+        ValueError: It holds none, or more.
+    """
+    value, end = value_at(text, 0)
+    if text[end:].strip():
+        raise ValueError(f"Extra data behind {text[:end].strip()[-20:]!r}")
+    return value
 
 
 def arguments_at(text: str, at: int) -> tuple[Any, int]:
-    """Return the arguments after the ``(`` of a call in Python, by name, and the index after its ``)``.
+    """Return the arguments from the ``(`` of a call in Python on, by name, and the index after its ``)``.
 
     A single argument without a name is returned as text.
 
     Raises:
         ValueError: They are no literals, or the call is never closed.
     """
-    given: dict[str, Any] = {}
-    while (token := _token(text, at))[0] != ")":
-        word, end = token
-        if word.isidentifier() and _token(text, end)[0] == "=":
-            given[word], at = _literal(text, _token(text, end)[1], 0)
-        else:
-            alone, end = _literal(text, at, 0)
-            if given or not isinstance(alone, str) or _token(text, end)[0] != ")":
-                raise ValueError("arguments are written as name=value")
-            return RawText(alone), _token(text, end)[1]
-        at = _behind_comma(text, at, ")")
-    return given, token[1]
+    source, end = _python_at(text, at)
+    try:
+        call = ast.parse(f"call{source}", mode="eval").body
+    except (SyntaxError, MemoryError, RecursionError) as error:
+        raise ValueError("arguments are written as name=value") from error
+    if not isinstance(call, ast.Call):
+        raise ValueError("it is no call")
+    if call.args:
+        alone = _evaluated(call.args[0])
+        if call.keywords or len(call.args) > 1 or not isinstance(alone, str):
+            raise ValueError("arguments are written as name=value")
+        return RawText(alone), end
+    return {str(given.arg): _evaluated(given.value) for given in call.keywords}, end
 
 
 def typed(value: Any, name: str, schema: Mapping[str, Any]) -> Any:
@@ -94,148 +85,95 @@ def typed(value: Any, name: str, schema: Mapping[str, Any]) -> Any:
     if not isinstance(value, RawText):
         return value
     properties = schema.get("properties")
-    described = properties.get(name) if isinstance(properties, Mapping) else None
-    if _may_be_text(described, schema, 0):
-        return str(value)
-    read = loaded(value)
-    return str(value) if read.problem else read.value
+    if not _may_be_text(properties.get(name) if isinstance(properties, Mapping) else None, schema, 0):
+        with contextlib.suppress(ValueError):
+            return loaded(value)
+    return str(value)
 
 
 def _may_be_text(described: object, schema: Mapping[str, Any], depth: int) -> bool:
     """Tell whether a parameter takes text, as one of which nothing is said does."""
     if not isinstance(described, Mapping) or depth > 5:
         return True
-    reference = described.get("$ref")
-    if isinstance(reference, str):
+    if isinstance(reference := described.get("$ref"), str):
         definitions = schema.get("$defs", schema.get("definitions"))
         name = reference.rpartition("/")[2]
         return _may_be_text(definitions.get(name) if isinstance(definitions, Mapping) else None, schema, depth + 1)
-    kinds = described.get("type")
-    if kinds is not None:
-        return kinds == "string" or (isinstance(kinds, list) and "string" in kinds)
-    values = [*_listed(described.get("enum")), *([described["const"]] if "const" in described else [])]
-    options = [part for key in ("anyOf", "oneOf", "allOf") for part in _listed(described.get(key))]
-    if not values and not options:
-        return True
-    return any(isinstance(value, str) for value in values) or any(
-        _may_be_text(option, schema, depth + 1) for option in options
-    )
-
-
-def _listed(value: object) -> list[Any]:
-    return value if isinstance(value, list) else []
+    options = [option for key in ("anyOf", "oneOf", "allOf") for option in described.get(key) or ()]
+    if "type" not in described and options:
+        return any(_may_be_text(option, schema, depth + 1) for option in options)
+    kinds = described.get("type", "string")
+    return kinds == "string" or (isinstance(kinds, list) and "string" in kinds)
 
 
 # Literals of Python; and of Gemma, whose keys have no quotes and whose texts have marks of their own.
 
-_BLANKS = re.compile(r"\s*+")
 _TOKEN = re.compile(
-    r'''[rRuU]?+"""(?:[^"\\]|\\.|"(?!""))*"""|[rRuU]?+\'\'\'(?:[^'\\]|\\.|'(?!''))*\'\'\'
+    r'''\s*+([rRuU]?+"""(?:[^"\\]|\\.|"(?!""))*"""|[rRuU]?+\'\'\'(?:[^'\\]|\\.|'(?!''))*\'\'\'
     |[rRuU]?+"[^"\\]*+(?:\\.[^"\\]*+)*"|[rRuU]?+'[^'\\]*+(?:\\.[^'\\]*+)*'
-    |<escape>|<\|"\|>|[^\W\d][\w-]*+|[-+]?+(?:\d[\d_]*+(?:\.\d*+)?|\.\d++)(?:[eE][-+]?+\d++)?|[{}\[\]():=,]''',
+    |<escape>|<\|"\|>|[^\W\d][\w-]*+|[-+]?+(?:\d[\d_]*+(?:\.\d*+)?|\.\d++)(?:[eE][-+]?+\d++)?|[{}\[\]():=,])''',
     re.DOTALL | re.VERBOSE,
 )
-_CLOSING = {"[": "]", "(": ")"}
-_WORDS = {"True": True, "true": True, "False": False, "false": False, "None": None, "null": None}
+_WORDS = {"true": "True", "false": "False", "null": "None", "True": "True", "False": "False", "None": "None"}
 _MARKS = ("<escape>", '<|"|>')
-_ESCAPE = re.compile(r"\\(x[0-9a-fA-F]{2}|u[0-9a-fA-F]{4}|U[0-9a-fA-F]{8}|[0-7]{1,3}|.)", re.DOTALL)
-_ESCAPED = {"n": "\n", "t": "\t", "r": "\r", "b": "\b", "f": "\f", "a": "\a", "v": "\v", "\n": ""} | {
-    char: char for char in "\\'\""
-}
+_ESCAPE = re.compile(r"\\(.)", re.DOTALL)
 
 
-def _token(text: str, at: int) -> tuple[str, int]:
-    found = _TOKEN.match(text, skip_blanks(text, at))
-    if found is None:
-        raise ValueError("no literal of Python")
-    return found[0], found.end()
+def _python_at(text: str, at: int) -> tuple[str, int]:
+    """Return the literal, or the arguments in brackets, that begin at a place, as plain Python, and the index after it.
 
-
-def _literal(text: str, at: int, depth: int) -> tuple[Any, int]:
-    if depth > _MOST_DEPTH:
-        raise ValueError(_TOO_DEEP)
-    token, end = _token(text, at)
-    if token in _MARKS:
-        closing = text.find(token, end)
-        if closing < 0:
-            raise ValueError(f"{token} is never closed")
-        return text[end:closing], closing + len(token)
-    if token in _WORDS:
-        return _WORDS[token], end
-    if token in _CLOSING:
-        return _sequence(text, end, _CLOSING[token], depth)
-    if token == "{":
-        return _mapping(text, end, depth)
-    if token[-1] in "\"'":
-        return _unquote(token), end
-    return _number(token), end
-
-
-def _sequence(text: str, at: int, closing: str, depth: int) -> tuple[list[Any], int]:
-    values: list[Any] = []
+    Raises:
+        ValueError: They hold what is no literal, or are never closed.
+    """
+    parts: list[str] = []
+    depth = 0
     while True:
-        token, end = _token(text, at)
-        if token == closing:
-            return values, end
-        value, at = _literal(text, at, depth + 1)
-        values.append(value)
-        at = _behind_comma(text, at, closing)
+        found = _TOKEN.match(text, at)
+        if found is None or depth > _MOST_DEPTH:
+            raise ValueError("no literal of Python")
+        token, at = found[1], found.end()
+        if token in _MARKS:
+            closing = text.find(token, at)
+            if closing < 0:
+                raise ValueError(f"{token} is never closed")
+            parts.append(repr(text[at:closing]))
+            at = closing + len(token)
+        elif token[-1] in "\"'":
+            parts.append(repr(_unquoted(token)))
+        elif token[0].isalpha() or token[0] == "_":
+            follows = _TOKEN.match(text, at)
+            is_key = follows is not None and follows[1] == ":"
+            if token not in _WORDS and not is_key and (follows is None or follows[1] != "="):
+                raise ValueError(f"{token[:50]} is no literal of Python")
+            parts.append(repr(token) if is_key else _WORDS.get(token, token))
+        else:
+            if token[-1].isdigit() and not math.isfinite(float(token)):
+                raise ValueError(f"{token[:20]} is no finite number")
+            depth += (token in "([{") - (token in ")]}")
+            parts.append(token)
+        if depth == 0:
+            return " ".join(parts), at
 
 
-def _mapping(text: str, at: int, depth: int) -> tuple[dict[str, Any], int]:
-    values: dict[str, Any] = {}
-    while True:
-        key, end = _token(text, at)
-        if key == "}":
-            return values, end
-        if key in "{}[]():=,":
-            raise ValueError("there must be a name")
-        if key[-1] in "\"'" or key in _MARKS:
-            key, end = _literal(text, at, depth)
-        colon, at = _token(text, end)
-        if colon != ":":
-            raise ValueError("behind a name must stand a colon")
-        values[key], at = _literal(text, at, depth + 1)
-        at = _behind_comma(text, at, "}")
+def _unquoted(token: str) -> str:
+    """Return the text of a literal: in JSON, or in Python with its unknown escapes and line breaks as they are."""
+    with contextlib.suppress(ValueError):
+        return str(json.loads(token, strict=False))
+    if token[0] not in "rR":
+        token = _ESCAPE.sub(lambda found: found[0] if found[1] in "\\'\"abfnrtvxuU0123\n" else f"\\{found[0]}", token)
+    quote = token[-1]
+    if not token.endswith(quote * 3):
+        token = token.replace("\n", "\\n").replace("\r", "\\r")
+    return str(_evaluated(token))
 
 
-def _behind_comma(text: str, at: int, closing: str) -> int:
-    """Return where the next item begins, or the closing bracket stands."""
-    token, end = _token(text, at)
-    if token == closing:
-        return at
-    if token != ",":
-        raise ValueError(f"there must be a comma or {closing}")
-    return end
+def _evaluated(source: str | ast.expr) -> Any:
+    """Return the value of a literal, as JSON has it.
 
-
-def _unquote(token: str) -> str:
-    if token[0] == '"' and token[:3] != '"""':
-        try:
-            return str(json.loads(token, strict=False))
-        except ValueError:
-            pass  # an escape that only Python has
-    raw = token[0] in "rR"
-    body = token.lstrip("rRuU")
-    quote = 3 if body[:3] in ('"""', "'''") and len(body) >= 6 else 1
-    body = body[quote:-quote]
-    return body if raw else _ESCAPE.sub(_unescape, body)
-
-
-def _unescape(found: re.Match[str]) -> str:
-    escape = found[1]
-    if escape[0] in "xuU" and len(escape) > 1:
-        return chr(int(escape[1:], 16))
-    if escape[0] in "01234567":
-        return chr(int(escape, 8))
-    return _ESCAPED.get(escape, found[0])
-
-
-def _number(token: str) -> int | float:
+    Raises:
+        ValueError: It is none.
+    """
     try:
-        return int(token)
-    except ValueError:
-        number = float(token)
-    if not math.isfinite(number):
-        raise ValueError(f"{token[:20]} is no finite number")
-    return number
+        return json.loads(json.dumps(ast.literal_eval(source), allow_nan=False))
+    except (SyntaxError, TypeError, MemoryError, RecursionError) as error:
+        raise ValueError("no literal of Python") from error

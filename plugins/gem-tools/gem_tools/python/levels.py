@@ -23,9 +23,9 @@ LEVELS = ("bubblewrap", "docker", "process")
 
 DOCKER_IMAGE = f"python:{sys.version_info[0]}.{sys.version_info[1]}-slim"
 
-# In the order in which they need one another.
-_MODULES: tuple[str, ...] = ("wire", "kernel", "syscalls", "confine", "walls", "runner", "usage", "folders")
-_MODULES += ("child", "forks", "call", "keeper")
+_MODULES = ("wire", "kernel", "syscalls", "confine", "walls", "runner", "usage", "child", "server")
+"""In the order in which they need one another."""
+
 _PACKAGE = inside.__name__
 _BOOT = """
 import json, os, sys, types

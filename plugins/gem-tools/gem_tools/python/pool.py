@@ -19,11 +19,11 @@ from typing import Any, TypedDict, TypeVar, Unpack
 from gem_core.background import on_library_loop, run_sync
 from gem_core.errors import ArgumentError, StateNotSupported
 from gem_tools.python import starting
-from gem_tools.python.cell import Answer, Cell
 from gem_tools.python.errors import SandboxError
 from gem_tools.python.levels import launch
 from gem_tools.python.limits import Limits
 from gem_tools.python.outcome import Outcome, outcome_from
+from gem_tools.python.sandbox import Answer, Sandbox
 
 USUAL: tuple[str, ...] = ("bisect", "collections", "copy", "dataclasses", "datetime", "decimal", "fractions", "heapq")
 USUAL += (
@@ -104,8 +104,8 @@ class Pool:
         _pools.add(self)
 
     def _forget(self) -> None:
-        self.cells: list[Cell] = []
-        self.idle: list[Cell] = []  # those of `cells` that wait for a call
+        self.cells: list[Sandbox] = []
+        self.idle: list[Sandbox] = []  # those of `cells` that wait for a call
         self.waiting: list[_Ticket] = []  # calls that wait for a sandbox
         self.chosen: starting.Chosen | None = None
         self._starting = 0
@@ -155,7 +155,7 @@ class Pool:
         for cell in run_sync(self._close()):
             cell.clear()
 
-    async def _close(self) -> list[Cell]:
+    async def _close(self) -> list[Sandbox]:
         self._closed = True
         self._refuse_waiting(SandboxError("the pool was closed"))
         cells, self.cells, self.idle = self.cells, [], []
@@ -178,22 +178,21 @@ class Pool:
         told = limits.told(session=session is not None)
         job = {"code": str(code), "files": _packed(files or {}), "value": value, "most": limits.value_chars}
         given = _as_bytes(stdin)
-        body = json.dumps(job).encode("ascii") + given
+        code_and_files = json.dumps(job).encode("ascii")
         cell = await self._turn(session)
-        header: dict[str, Any] = {"op": "run", "id": next(self._numbers), "limits": told, "input": len(given)}
+        header: dict[str, Any] = {"op": "run", "id": next(self._numbers), "limits": told}
+        header |= {"job": len(code_and_files), "input": len(given)}
         if session is not None:
-            header |= {"session": session.name, "opens": not session.opened}
+            header["session"] = session.name
             session.cell = cell
-        answer, streams = await self._asked(cell, header, body)
-        if answer.get("gone"):
-            raise SandboxError("the session is gone")
+        answer, streams = await self._asked(cell, header, code_and_files + given)
         if answer["failed"] is not None:
             raise SandboxError(f"no process could be set up in the sandbox: {answer['failed']}")
         if session is not None:
             session.opened = not answer["lost"]
         return outcome_from(answer, streams, told, cell.launch.level)
 
-    async def _asked(self, cell: Cell, header: dict[str, Any], body: bytes) -> Answer:
+    async def _asked(self, cell: Sandbox, header: dict[str, Any], body: bytes) -> Answer:
         """Ask a sandbox, and make it idle again when it has answered; a caller that is cancelled ends the call."""
         asking = self._in_background(cell.ask(header, body))
         asking.add_done_callback(lambda _: self._release(cell))
@@ -211,7 +210,7 @@ class Pool:
         task.add_done_callback(self._tasks.discard)
         return task
 
-    async def _turn(self, session: Session | None) -> Cell:
+    async def _turn(self, session: Session | None) -> Sandbox:
         """Wait for a sandbox."""
         if self._closed:
             raise SandboxError("the pool is closed")
@@ -247,9 +246,9 @@ class Pool:
         free = sum(1 for ticket in self.waiting if ticket.cell is None)
         while self._starting < free and len(self.cells) + self._starting < self.num_workers:
             self._starting += 1
-            self._in_background(self._start_cell())
+            self._in_background(self._start_one())
 
-    async def _start_cell(self) -> None:
+    async def _start_one(self) -> None:
         try:
             if self.chosen is None:
                 self.chosen = await starting.chosen(self.sandbox, self.options)
@@ -267,9 +266,9 @@ class Pool:
             self.cells.append(cell)
             self._release(cell)
 
-    async def _started(self, chosen: starting.Chosen) -> Cell:
+    async def _started(self, chosen: starting.Chosen) -> Sandbox:
         for pause_s in _PAUSES_S:
-            cell = Cell(launch(chosen.level, self.options), self._lost)
+            cell = Sandbox(launch(chosen.level, self.options), self._lost)
             try:
                 await cell.start()
             except SandboxError:
@@ -281,12 +280,12 @@ class Pool:
                 return cell
         raise SandboxError("the sandbox did not start")
 
-    def _release(self, cell: Cell) -> None:
+    def _release(self, cell: Sandbox) -> None:
         if cell.alive and cell not in self.idle:
             self.idle.append(cell)
         self._serve()
 
-    def _lost(self, cell: Cell) -> None:
+    def _lost(self, cell: Sandbox) -> None:
         """Go on without a sandbox that has ended: fail the calls of its sessions."""
         if cell not in self.cells:
             return
@@ -297,11 +296,11 @@ class Pool:
         self._clear_later(cell)
         self._serve()
 
-    def _clear_later(self, cell: Cell) -> None:
+    def _clear_later(self, cell: Sandbox) -> None:
         cell.close()
         threading.Thread(target=cell.clear, name="gem-python-end", daemon=True).start()
 
-    def _refuse_waiting(self, error: BaseException, cell: Cell | None = None) -> None:
+    def _refuse_waiting(self, error: BaseException, cell: Sandbox | None = None) -> None:
         """Fail the calls that wait for a sandbox, or for any."""
         refused = [ticket for ticket in self.waiting if cell is None or ticket.cell is cell]
         self.waiting = [ticket for ticket in self.waiting if ticket not in refused]
@@ -333,8 +332,8 @@ class _Ticket:
         cell: The sandbox of its session; None for any.
     """
 
-    turn: asyncio.Future[Cell]
-    cell: Cell | None
+    turn: asyncio.Future[Sandbox]
+    cell: Sandbox | None
 
 
 class Session:
@@ -348,7 +347,7 @@ class Session:
     def __init__(self, pool: Pool, limits: Limits) -> None:
         self.pool, self.limits = pool, limits
         self.name = os.urandom(8).hex()
-        self.cell: Cell | None = None
+        self.cell: Sandbox | None = None
         self.opened = False
         self._one_at_a_time = asyncio.Lock()
 

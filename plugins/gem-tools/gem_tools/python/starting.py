@@ -15,10 +15,10 @@ from typing import Any
 from gem_core.docs import page_url
 from gem_core.errors import ArgumentError, MissingRequirementError
 from gem_tools.python import docker
-from gem_tools.python.cell import Cell
 from gem_tools.python.errors import SandboxError, Unavailable
 from gem_tools.python.levels import DOCKER_IMAGE, LEVELS, launch
 from gem_tools.python.limits import Limits
+from gem_tools.python.sandbox import Sandbox
 
 AUTO = "auto"
 _ADVICE = {"bubblewrap": ". Allow unprivileged user namespaces on this system, or name another level"}
@@ -121,10 +121,10 @@ async def _found(level: str, settings: Mapping[str, Any]) -> Chosen:
     if key in _working:
         return _working[key]
     found = launch(level, {**settings, "preload": ["inspect", "json", "pkgutil"]})
-    cell = Cell(found)
+    cell = Sandbox(found)
     limits = Limits(wall_s=30.0, folder_mb=settings["folder_mb"], folder_files=settings["folder_files"])
     job = json.dumps({"code": _LOOK, "files": {}, "value": False, "most": 100}).encode("ascii")
-    header = {"op": "run", "id": 0, "limits": limits.told(session=False), "input": 0}
+    header = {"op": "run", "id": 0, "limits": limits.told(session=False), "job": len(job), "input": 0}
     try:
         await cell.start()
         answer, (out, err, _) = await cell.ask(header, job)

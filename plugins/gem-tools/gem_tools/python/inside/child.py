@@ -1,30 +1,31 @@
-"""The process that is forked for a call, or for a session: it shuts itself in, waits for code, and runs it."""
+"""The process that is forked for a call, or for a session: it shuts itself in and runs the code."""
 
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
-import mmap
 import os
+import random
 import signal
-import struct
+import socket
 import sys
-import time
 import traceback
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from gem_tools.python.inside import confine, kernel, runner, syscalls, walls, wire
+from gem_tools.python.inside import confine, kernel, runner, syscalls, walls
 
 JOB = 3
-"""File descriptor of the socket to the keeper."""
+"""File descriptor of the socket to the first process.
 
-AT, LENGTH = struct.Struct("=d"), struct.Struct("=I")
-"""What a process says on that socket: when code begins, or -1 and why it cannot; then each result after its length."""
+On it a process says ``+`` when code begins, or ``-`` and why it cannot; then the result of each piece of code, as a
+line of JSON. A session gets files with its next code and input there.
+"""
 
 _NICE = 19
-"""Of code in a machine of its own: it yields to the keeper, which else loses the processor to many processes, and sees
-too late that they use more than they may. Elsewhere it would yield to the whole machine, and run out of time."""
+"""Of code in a machine of its own: it yields to the process that watches its limits. Elsewhere it would yield to the
+whole machine, and run out of time."""
 
 _INPUT_NAMES = ("/dev/stdin", "/dev/fd/")
 
@@ -40,7 +41,7 @@ class ForkContext:
         base_bytes: Address space that the interpreter has before it runs any code.
         uid: The user to run code as; None to stay.
         folder: The private folder.
-        session: The limits of the session that it is for; None for a single call.
+        kind: Limits that hold from the start: size and number of files of its folder, and whether it is for a session.
     """
 
     settings: dict[str, Any]
@@ -49,141 +50,133 @@ class ForkContext:
     base_bytes: int
     uid: int | None
     folder: str
-    session: dict[str, Any] | None
+    kind: dict[str, Any]
 
 
-def run(place: ForkContext) -> NoReturn:
-    """Be the forked process, whose streams and socket are in their places already."""
+def main(context: ForkContext, streams: tuple[int, ...]) -> NoReturn:
+    """Be the forked process.
+
+    Args:
+        context: What it finds.
+        streams: Its output, its error output, and its end of the socket.
+    """
     code = 1
     try:
-        signal.set_wakeup_fd(-1)
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        code = _Child(place).main()
+        for target, source in enumerate(streams, start=1):
+            os.dup2(source, target, inheritable=target != JOB)
+        code = _run(context)
     except BaseException:  # noqa: BLE001 - whatever it was, this process must not go on as its parent
         with contextlib.suppress(BaseException):
             traceback.print_exc()
     os._exit(code)
 
 
-class _Child:
-    def __init__(self, place: ForkContext) -> None:
-        self.place, self.settings = place, place.settings
-        self.input_left = 0
-
-    def main(self) -> int:
-        """Return the exit code."""
-        fault = None
-        try:
-            self.shut_in()
-        except Exception as error:  # noqa: BLE001 - told once there is someone to tell it to
-            fault = error
-        os.closerange(JOB + 1, 1024)
-        runner.as_new()
-        program = runner.Program()
-        if (message := self.receive()) is None:
-            return 0
-        job = message[1]
-        try:
-            if fault is not None:
-                raise fault
-            self.set_up(job, message[0])
-        except BaseException as error:  # noqa: BLE001 - told as a failure of the sandbox, not of the code
-            self.say(AT.pack(-1) + f"{type(error).__name__}: {error}".encode("utf-8", "replace"))
-            return 1
-        self.say(AT.pack(time.monotonic()))
-        while True:
-            outcome = program.run(job["code"], wants_value=job["value"], most=job["most"])
-            if self.place.session is None:
-                program.end()
-                self.report(outcome)
-                return int(outcome["code"])
-            runner.flush()
-            self.report(outcome)
-            # The keeper stops a session here until its next call.
-            if (message := self.receive()) is None:
-                return 0
-            self.forget_killed()
-            job = message[1]
-            # Code that broke its streams has broken them for itself.
-            with contextlib.suppress(Exception):
-                runner.prepare_again(job["files"], self.pour, named=self.names_input(job))
-
-    def shut_in(self) -> None:
-        """Give up, ahead of any call, all rights that code must not have."""
-        settings, place = self.settings, self.place
-        runner.make_input()  # which the filter would refuse
-        if settings["own_machine"]:
-            os.nice(_NICE)
-        confine.enter(settings, place.proc, place.uid)
-        # A keeper without root's rights may look into dumpable processes of its own user, and see how much memory they
-        # share; namespaces or walls keep other calls from doing so.
-        kept_apart = settings["namespaces"] or settings["walled"]
-        kernel.prctl(kernel.PR_SET_DUMPABLE, int(kept_apart and settings["uid"] is None))
-        kernel.prctl(kernel.PR_SET_NO_NEW_PRIVS, 1)
-        if place.session is not None and settings["namespaces"]:
-            confine.leave_others(place.session)
-        if settings["walled"]:
-            walls.put_up(place.folder, shared=settings["own_machine"] or not settings["same_user"])
-        confine.give_up_rights(place.filter, settings)
-
-    def set_up(self, job: dict[str, Any], told: dict[str, Any]) -> None:
-        """Put files, input and limits of the first call in place."""
-        os.chdir(self.place.folder)
-        if not self.settings["namespaces"]:
-            at_home(self.place.folder)
-        runner.prepare(job["files"], self.pour, named=self.names_input(job))
-        confine.limit(told["limits"], told["others"], self.place.base_bytes)
-
-    def names_input(self, job: dict[str, Any]) -> bool:
-        """Tell whether code asks for its input by a name; a file that most never look at would cost them time."""
-        return bool(self.settings["namespaces"]) and any(name in job["code"] for name in _INPUT_NAMES)
-
-    def receive(self) -> tuple[dict[str, Any], Any] | None:
-        """Return the next header and the code with its files; None when the keeper is gone. The input stays unread."""
-        try:
-            header, length = wire.read_header(JOB)
-            self.input_left = header["input"]
-            return header, json.loads(wire.exactly(JOB, length - self.input_left))
-        except EOFError:
-            return None
-
-    def pour(self, target: int) -> None:
-        """Write the input to a file, through memory that is no forked process's.
-
-        So code that forks a process before it reads its input hides that from it (gem-code's tests do).
-        """
-        if not self.input_left:
-            return
-        memory = mmap.mmap(-1, 1 << 16)
-        memory.madvise(mmap.MADV_DONTFORK)
-        piece = memoryview(memory)
-        while self.input_left:
-            count = os.readv(JOB, [piece[: self.input_left]])
-            if not count:
-                raise EOFError
-            self.input_left -= count
-            rest = piece[:count]
-            while rest:
-                rest = rest[os.write(target, rest) :]
-
-    def say(self, data: bytes) -> None:
-        """Tell the keeper something."""
-        rest = memoryview(data)
-        while rest:
-            rest = rest[os.write(JOB, rest) :]
-
-    def report(self, outcome: dict[str, Any]) -> None:
-        """Send the result; a socket that the code has closed tells nothing."""
-        with contextlib.suppress(BaseException):
-            os.set_blocking(JOB, True)
-            data = json.dumps(outcome).encode("ascii")
-            self.say(LENGTH.pack(len(data)) + data)
-
-    def forget_killed(self) -> None:
-        """Reap the children that were killed between two calls."""
+def _run(context: ForkContext) -> int:
+    """Return the exit code."""
+    fault = None
+    try:
+        _shut_in(context)
+    except Exception as error:  # noqa: BLE001 - told once there is someone to tell it to
+        fault = error
+    os.closerange(JOB + 1, 1024)
+    _look_new()
+    program = runner.Program()
+    told, task = _receive()
+    try:
+        if fault is not None:
+            raise fault
+        os.chdir(context.folder)
+        if not context.settings["namespaces"]:
+            at_home(context.folder)
+        _set_up(task, context)
+        confine.limit(told["limits"], told["others"], context.base_bytes)
+    except BaseException as error:  # noqa: BLE001 - told as a failure of the sandbox, not of the code
+        _say(f"-{type(error).__name__}: {error}".encode("utf-8", "replace"))
+        return 1
+    _say(b"+")
+    while True:
+        outcome = program.run(task["code"], wants_value=task["value"], most=task["most"])
+        if not context.kind["session"]:
+            program.end()
+            _report(outcome)
+            return int(outcome["code"])
+        runner.flush()
+        _report(outcome)
+        # A session is stopped here until its next call.
+        _, task = _receive()
+        # Children that were killed between two calls.
         with contextlib.suppress(ChildProcessError):
             while os.waitpid(-1, os.WNOHANG)[0]:
                 pass
+        # Code that broke its streams has broken them for itself.
+        with contextlib.suppress(Exception):
+            if os.fstat(0).st_size:
+                sys.stdin = runner.input_stream()
+            _set_up(task, context)
+
+
+def _shut_in(context: ForkContext) -> None:
+    """Give up all rights that code must not have."""
+    settings = context.settings
+    if settings["own_machine"]:
+        os.nice(_NICE)
+    confine.enter(settings, context.proc, context.uid, context.kind)
+    # A first process without root's rights may look into dumpable processes of its own user, and see how much memory
+    # they share; namespaces or walls keep other calls from doing so.
+    kept_apart = settings["namespaces"] or settings["walled"]
+    kernel.prctl(kernel.PR_SET_DUMPABLE, int(kept_apart and settings["uid"] is None))
+    kernel.prctl(kernel.PR_SET_NO_NEW_PRIVS, 1)
+    if settings["walled"]:
+        walls.put_up(context.folder, shared=settings["own_machine"] or not settings["same_user"])
+    kernel.drop_capabilities()
+    if settings["filtered"] and not context.filter.set():
+        raise OSError("the filter of system calls could not be set")
+
+
+def _look_new() -> None:
+    """Make a forked interpreter look like one that has just started."""
+    signal.set_wakeup_fd(-1)
+    for number in (signal.SIGCHLD, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if os.getpid() == 1:
+        kernel.end_on(signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF)
+    gc.enable()
+    random.seed()  # noqa: TID251 - each process draws its own numbers
+    if "numpy.random" in sys.modules:
+        sys.modules["numpy.random"].seed()
+    runner.make_streams()
+
+
+def _set_up(task: dict[str, Any], context: ForkContext) -> None:
+    """Put the files of a call in place, and its input where code opens that by name and there is no ``/proc``."""
+    runner.write_files(task["files"])
+    if context.settings["namespaces"] and any(name in task["code"] for name in _INPUT_NAMES):
+        runner.name_input()
+
+
+def _receive() -> tuple[dict[str, Any], dict[str, Any]]:
+    """Wait for the next call; return its limits, and its code with its files. Its input becomes standard input."""
+    with socket.socket(fileno=os.dup(JOB)) as channel:
+        data, (job, given), _, _ = socket.recv_fds(channel, 1 << 16, 2)
+    os.dup2(given, 0)
+    os.close(given)
+    with open(job, "rb") as stream:
+        return json.loads(data), json.load(stream)
+
+
+def _say(data: bytes) -> None:
+    """Tell the first process something."""
+    rest = memoryview(data)
+    while rest:
+        rest = rest[os.write(JOB, rest) :]
+
+
+def _report(outcome: dict[str, Any]) -> None:
+    """Send the result; a socket that the code has closed tells nothing."""
+    with contextlib.suppress(BaseException):
+        os.set_blocking(JOB, True)
+        _say(json.dumps(outcome).encode("ascii") + b"\n")
 
 
 def at_home(folder: str) -> None:

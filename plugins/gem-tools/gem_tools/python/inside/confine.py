@@ -11,7 +11,7 @@ import socket
 import struct
 from typing import Any
 
-from gem_tools.python.inside import kernel, syscalls
+from gem_tools.python.inside import kernel
 
 FOLDER = "/tmp"
 SHARED = "/dev/shm"
@@ -47,47 +47,83 @@ def leave_network() -> None:
         kernel.unshare(kernel.NEWNET | kernel.NEWIPC)
 
 
-def enter(settings: dict[str, Any], proc: int, uid: int | None) -> None:
+def enter(settings: dict[str, Any], proc: int, uid: int | None, kind: dict[str, Any]) -> None:
     """Take this process out of reach of the others.
 
     Args:
         settings: Those of the level.
         proc: File descriptor of ``/proc``, which may not be in the tree.
         uid: The user to become; None to stay.
+        kind: Size and number of files of its folder, and whether it is for a session.
     """
     os.setsid()
     if uid is not None:
         os.setgroups([])
         os.setresgid(uid, uid, uid)
         os.setresuid(uid, uid, uid)
-    if settings["namespaces"]:
-        # Without this its own files in /proc belong to root, and the maps below could not be written.
-        kernel.prctl(kernel.PR_SET_DUMPABLE, 1)
-        user, group = os.getuid(), os.getgid()
-        # A user namespace for each call: its processes are counted by themselves, and its capabilities reach nothing.
-        # Shared memory and queues are kept away by the filter of system calls, where there is one.
-        kernel.unshare(kernel.NEWUSER | (0 if settings["filtered"] else kernel.NEWIPC))
-        _write(proc, "self/setgroups", "deny")
-        _write(proc, "self/uid_map", f"{INSIDE_ID} {user} 1")
-        _write(proc, "self/gid_map", f"{INSIDE_ID} {group} 1")
-    else:
+    if not settings["namespaces"]:
         # Gone with the process that forked it.
         kernel.prctl(kernel.PR_SET_PDEATHSIG, 9)
+        return
+    # Without this its own files in /proc belong to root, and the maps below could not be written.
+    kernel.prctl(kernel.PR_SET_DUMPABLE, 1)
+    user, group = os.getuid(), os.getgid()
+    # A user namespace for each call: its processes are counted by themselves, its capabilities reach nothing, and its
+    # folder ends with it. A session has a network too: other calls run between its own. Shared memory and queues are
+    # kept away by the filter of system calls, if there is one.
+    kernel.unshare(
+        kernel.NEWUSER
+        | kernel.NEWNS
+        | (kernel.NEWNET if kind["session"] else 0)
+        | (0 if settings["filtered"] else kernel.NEWIPC)
+    )
+    _write(proc, "self/setgroups", "deny")
+    _write(proc, "self/uid_map", f"{INSIDE_ID} {user} 1")
+    _write(proc, "self/gid_map", f"{INSIDE_ID} {group} 1")
+    mount_folder(kind)
+    if kind["session"]:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+            fcntl.ioctl(any_socket, _SET_INTERFACE_FLAGS, struct.pack("16sh14x", b"lo", _UP))
 
 
-def leave_others(limits: dict[str, Any]) -> None:
-    """Give a session a folder and a network that only its own processes see; calls come one after another."""
-    kernel.unshare(kernel.NEWNS | kernel.NEWNET)
-    mount_folder(limits, "")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
-        fcntl.ioctl(any_socket, _SET_INTERFACE_FLAGS, struct.pack("16sh14x", b"lo", _UP))
-
-
-def mount_folder(limits: dict[str, Any], owner: str) -> None:
+def mount_folder(kind: dict[str, Any]) -> None:
     """Mount an empty folder of limited size in memory."""
-    size = limits["folder_mb"] * _MB
-    options = f"size={size},nr_inodes={limits['folder_files']},mode=0700{owner}"
+    options = f"size={kind['folder_mb'] * _MB},nr_inodes={kind['folder_files']},mode=0700"
     kernel.mount("tmpfs", FOLDER, "tmpfs", kernel.MS_NOSUID | kernel.MS_NODEV, options)
+
+
+def make_folder(base: str, uid: int | None) -> str:
+    """Return a new folder of a user on disk, in the one that holds all of a sandbox."""
+    path = os.path.join(base, f"call-{os.urandom(12).hex()}")
+    os.mkdir(path, 0o700)
+    if uid is not None:
+        os.chown(path, uid, uid)
+    return path
+
+
+def remove_folder(path: str) -> None:
+    """Remove a folder with all that is in it, however deep, whatever its permissions, or a file.
+
+    Most calls leave an empty folder. ``shutil.rmtree`` fails at folders within folders by the thousand.
+    """
+    with contextlib.suppress(OSError):
+        try:
+            os.rmdir(path)
+        except NotADirectoryError:
+            os.unlink(path)
+        except OSError:
+            for command in (["chmod", "-R", "u+rwX", path], ["rm", "-rf", path]):
+                quiet = [(os.POSIX_SPAWN_OPEN, 2, os.devnull, os.O_WRONLY, 0)]
+                os.waitpid(os.posix_spawnp(command[0], command, os.environ, file_actions=quiet), 0)
+
+
+def clear_shared(uid: int) -> None:
+    """Remove what a call has left in the machine's shared memory; each has a user id of its own."""
+    with contextlib.suppress(OSError):
+        for entry in list(os.scandir(SHARED)):
+            with contextlib.suppress(OSError):
+                if entry.stat(follow_symlinks=False).st_uid == uid:
+                    remove_folder(entry.path)
 
 
 def limit(limits: dict[str, Any], others: int, base_bytes: int) -> None:
@@ -98,11 +134,9 @@ def limit(limits: dict[str, Any], others: int, base_bytes: int) -> None:
         others: Threads of this user that are not the call's, where the kernel counts them together.
         base_bytes: Address space that the interpreter has before it runs any code.
     """
-    cpu = None if limits["session"] else int(limits["cpu_s"]) + 1
-    memory = base_bytes + limits["memory_mb"] * _MB
     wanted = [
         (resource.RLIMIT_CORE, 0),
-        (resource.RLIMIT_AS, memory),
+        (resource.RLIMIT_AS, base_bytes + limits["memory_mb"] * _MB),
         (resource.RLIMIT_FSIZE, limits["file_mb"] * _MB),
         (resource.RLIMIT_NOFILE, limits["open_files"]),
         (resource.RLIMIT_MEMLOCK, 0),
@@ -110,19 +144,12 @@ def limit(limits: dict[str, Any], others: int, base_bytes: int) -> None:
         (resource.RLIMIT_SIGPENDING, 1024),
         (resource.RLIMIT_NPROC, others + limits["processes"]),
     ]
-    if cpu is not None:
-        wanted.append((resource.RLIMIT_CPU, cpu))
+    if not limits["session"]:
+        wanted.append((resource.RLIMIT_CPU, int(limits["cpu_s"]) + 1))
     for kind, most in wanted:
         _, hard = resource.getrlimit(kind)
         least = most if hard == resource.RLIM_INFINITY else min(most, hard)
         resource.setrlimit(kind, (least, least))
-
-
-def give_up_rights(filter: syscalls.Filter, settings: dict[str, Any]) -> None:
-    """Give up capabilities and rare system calls, which code could undo the limits with."""
-    kernel.drop_capabilities()
-    if settings["filtered"] and not filter.set():
-        raise OSError("the filter of system calls could not be set")
 
 
 def open_many() -> None:

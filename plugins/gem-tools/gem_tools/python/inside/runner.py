@@ -11,19 +11,13 @@ import atexit
 import base64
 import builtins
 import contextlib
-import fcntl
-import gc
 import io
 import linecache
-import logging
 import os
-import random
-import signal
 import sys
 import threading
 import traceback
 import types
-from collections.abc import Callable
 from typing import Any
 
 FILENAME = "<python>"
@@ -41,62 +35,10 @@ NAMED_INPUT = ".stdin"
 
 
 def make_streams() -> None:
-    """Make the three streams anew, ahead of all forks: what is behind their descriptors may change until they are used.
-
-    While they are made, the outputs must be pipes, as they will be: streams remember whether they can seek.
-    """
-    reading, writing = os.pipe()
-    os.dup2(writing, 1)
-    os.dup2(writing, 2)
-    sys.stdin = _input(open(0, "rb", closefd=False))  # noqa: SIM115
-    sys.stdout = _output(1, "<stdout>", line_buffering=False)
-    sys.stderr = _output(2, "<stderr>", line_buffering=True)
-    sys.__stdin__, sys.__stdout__, sys.__stderr__ = sys.stdin, sys.stdout, sys.stderr  # type: ignore[misc]
-    os.dup2(0, 1)
-    os.dup2(0, 2)
-    os.close(reading)
-    os.close(writing)
-
-
-def make_input() -> None:
-    """Let standard input be an empty file without a name."""
-    memory = os.memfd_create("stdin", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
-    os.dup2(memory, 0)
-    os.close(memory)
-
-
-Pour = Callable[[int], None]
-"""Writes the input of a call to a file descriptor."""
-
-
-def prepare(files: dict[str, str], pour: Pour, *, named: bool) -> None:
-    """Set up what a program finds at its start: its folder with its files, and its standard input.
-
-    Args:
-        files: Content by path, in base 64.
-        pour: Writes the input.
-        named: Whether it lies in the folder too.
-    """
-    write_files(files)
-    pour(0)
-    os.lseek(0, 0, os.SEEK_SET)
-    # No limit on memory counts what code could write to it.
-    fcntl.fcntl(0, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SEAL | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_WRITE)
-    if named:
-        name_input(0)
-
-
-def prepare_again(files: dict[str, str], pour: Pour, *, named: bool) -> None:
-    """Put files and standard input in place for a later call of a session, whose variables and streams stay."""
-    memory = open(os.open("stdin", os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o600), "w+b")  # noqa: SIM115 - becomes stdin
-    os.unlink("stdin")
-    pour(memory.fileno())
-    memory.seek(0)
-    write_files(files)
-    if named:
-        name_input(memory.fileno())
-    if os.fstat(memory.fileno()).st_size:
-        sys.stdin = _input(memory)
+    """Make the three streams as an interpreter does at its start."""
+    sys.stdin = sys.__stdin__ = input_stream()  # type: ignore[misc]
+    sys.stdout = sys.__stdout__ = _output(1, "<stdout>", line_buffering=False)  # type: ignore[misc]
+    sys.stderr = sys.__stderr__ = _output(2, "<stderr>", line_buffering=True)  # type: ignore[misc]
 
 
 def write_files(files: dict[str, str]) -> None:
@@ -109,14 +51,14 @@ def write_files(files: dict[str, str]) -> None:
             stream.write(base64.b64decode(content))
 
 
-def name_input(descriptor: int) -> None:
+def name_input() -> None:
     """Write standard input into the folder, for code that opens it by name; what does not fit there has no name."""
     try:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(NAMED_INPUT)
         with open(NAMED_INPUT, "xb") as stream:
             place = 0
-            while sent := os.sendfile(stream.fileno(), descriptor, place, 1 << 30):
+            while sent := os.sendfile(stream.fileno(), 0, place, 1 << 30):
                 place += sent
     except OSError:
         # Half an input would be worse than none.
@@ -124,8 +66,10 @@ def name_input(descriptor: int) -> None:
             os.unlink(NAMED_INPUT)
 
 
-def _input(buffer: io.BufferedReader | io.BufferedRandom) -> io.TextIOWrapper:
-    return _named(io.TextIOWrapper(buffer, encoding="utf-8", errors="surrogateescape"), "<stdin>", "r")
+def input_stream() -> io.TextIOWrapper:
+    """Return standard input as text."""
+    raw = open(0, "rb", closefd=False)  # noqa: SIM115 - it stays open as long as the process
+    return _named(io.TextIOWrapper(raw, encoding="utf-8", errors="surrogateescape"), "<stdin>", "r")
 
 
 def _output(descriptor: int, name: str, *, line_buffering: bool) -> io.TextIOWrapper:
@@ -219,27 +163,6 @@ def flush() -> None:
     for stream in (sys.stdout, sys.stderr, sys.__stdout__, sys.__stderr__):
         with contextlib.suppress(BaseException):
             stream.flush()  # type: ignore[union-attr]
-
-
-def usual_signals() -> None:
-    """Answer signals as an interpreter does that has just started."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
-
-
-def quiet() -> None:
-    """Keep libraries from telling of their own affairs on standard error: matplotlib of the fonts that it looks for."""
-    logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
-
-
-def as_new() -> None:
-    """Make a forked interpreter look like one that has just started."""
-    gc.enable()
-    random.seed()  # noqa: TID251 - each process draws its own numbers, as if it had just started
-    if "numpy.random" in sys.modules:
-        sys.modules["numpy.random"].seed()
 
 
 def _exit_code(code: object) -> int:

@@ -8,7 +8,7 @@ import os
 import stat
 
 _TICKS = os.sysconf("SC_CLK_TCK")
-_STATE, _PARENT, _THREADS = 0, 1, 17
+_STATE, _THREADS = 0, 17
 _DEAD = (b"Z", b"X")
 _SOCKET_BYTES = 4 * 212_992
 """What the buffers of a socket may hold (``net.core.wmem_max``, twice, in both directions)."""
@@ -62,19 +62,12 @@ def children(proc: int, parent: int) -> list[int]:
     return found
 
 
-def descendants(proc: int, root: int, without: frozenset[int] = frozenset()) -> list[int]:
-    """Return the living processes below one, but for some with all that is below them."""
-    below: dict[int, list[int]] = {}
-    for name in filter(str.isdigit, os.listdir(proc)):
-        fields = _stat(proc, name)
-        if _lives(fields):
-            below.setdefault(int(fields[_PARENT]), []).append(int(name))
-    found: list[int] = []
-    waiting = [root]
+def tree(proc: int, roots: list[int]) -> list[int]:
+    """Return some processes and all that are below them."""
+    found, waiting = [], list(roots)
     while waiting:
-        new = [pid for pid in below.get(waiting.pop(), ()) if pid not in without]
-        found += new
-        waiting += new
+        found.append(waiting.pop())
+        waiting += children(proc, found[-1])
     return found
 
 

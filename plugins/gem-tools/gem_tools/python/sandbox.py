@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import os
 import signal
 import socket
@@ -14,7 +15,7 @@ from typing import Any
 
 from gem_tools.python import docker
 from gem_tools.python.errors import SandboxError
-from gem_tools.python.inside import folders, wire
+from gem_tools.python.inside import confine, wire
 from gem_tools.python.levels import Launch, bootstrap
 from gem_tools.python.outcome import Output
 
@@ -27,13 +28,16 @@ GRACE_S = 120.0
 END_S = 12.0
 """Limit of a sandbox's end, after which it is killed."""
 
-_MAX_RESULT = 1 << 24
+_MAX_HEADER, _MAX_BODY = 1 << 20, 1 << 24
+
+_listening: set[asyncio.Task[None]] = set()
+"""What sandboxes answer is taken in by these; a loop keeps only weak references to its tasks."""
 
 Answer = tuple[dict[str, Any], list[Output]]
 """A header, and the streams of a call: output, error output, result."""
 
 
-class Cell(asyncio.Protocol):
+class Sandbox:
     """A sandbox that runs one call at a time. All but ``clear`` runs on the library's loop.
 
     Args:
@@ -41,13 +45,12 @@ class Cell(asyncio.Protocol):
         lost: Called once when it is gone without having been closed.
     """
 
-    def __init__(self, launch: Launch, lost: Callable[[Cell], None] = lambda cell: None) -> None:
+    def __init__(self, launch: Launch, lost: Callable[[Sandbox], None] = lambda sandbox: None) -> None:
         self.launch, self._lost = launch, lost
         self.process: subprocess.Popen[bytes] | None = None
         self.alive = False
         self.ready: dict[str, Any] = {}
-        self._reader = wire.Reader()
-        self._answer: asyncio.Future[Answer] | None = None
+        self.answer: asyncio.Future[Answer] | None = None
         self._streams: list[Output] = []
 
     async def start(self) -> None:
@@ -74,9 +77,11 @@ class Cell(asyncio.Protocol):
             raise SandboxError(f"the sandbox did not start: {error}") from error
         finally:
             theirs.close()
-        loop = asyncio.get_running_loop()
-        self._transport, _ = await loop.create_connection(lambda: self, sock=self._socket)
+        self._reader, self._writer = await asyncio.open_connection(sock=self._socket)
         self.alive = True
+        listening = asyncio.ensure_future(self._listen())
+        _listening.add(listening)
+        listening.add_done_callback(_listening.discard)
         try:
             async with asyncio.timeout(START_S):
                 self.ready, _ = await self._asked(bootstrap(self.launch.settings))
@@ -98,28 +103,44 @@ class Cell(asyncio.Protocol):
         """
         if not self.alive:
             raise SandboxError("the sandbox is gone")
-        # The keeper inside ends a call in time; this is for a keeper that hangs itself.
         limits = header.get("limits", {"wall_s": 0.0, "output_bytes": 0})
-        limit_s = limits["wall_s"] + GRACE_S
-        self._streams = [Output(limits["output_bytes"]), Output(limits["output_bytes"]), Output(_MAX_RESULT)]
-        guard = asyncio.get_running_loop().call_later(limit_s, self._give_up)
+        self._streams = [Output(limits["output_bytes"]), Output(limits["output_bytes"]), Output(_MAX_BODY)]
+        # The process inside ends a call in time; this is for one that hangs itself.
+        guard = asyncio.get_running_loop().call_later(limits["wall_s"] + GRACE_S, self._give_up)
         try:
-            return await self._asked(wire.pack(header, body))
+            return await self._asked(wire.head(header, 0) + body)
         finally:
             guard.cancel()
 
     async def _asked(self, data: bytes) -> Answer:
-        self._answer = asyncio.get_running_loop().create_future()
+        self.answer = asyncio.get_running_loop().create_future()
         try:
-            self._transport.write(data)
-            return await self._answer
+            self._writer.write(data)
+            return await self.answer
         finally:
-            self._answer = None
+            self.answer = None
 
     def cancel(self, identifier: int) -> None:
         """End the call that runs; its answer comes as always."""
         if self.alive:
-            self._transport.write(wire.pack({"op": "cancel", "id": identifier}))
+            self._writer.write(wire.head({"op": "cancel", "id": identifier}, 0))
+
+    async def _listen(self) -> None:
+        """Take in answers until the sandbox is gone."""
+        with contextlib.suppress(OSError, EOFError, ValueError, RecursionError):
+            while True:
+                length, body_length = wire.LENGTHS.unpack(await self._reader.readexactly(wire.LENGTHS.size))
+                if length > _MAX_HEADER or body_length > _MAX_BODY:
+                    break
+                header = json.loads(await self._reader.readexactly(length))
+                body = await self._reader.readexactly(body_length)
+                if "stream" in header:
+                    self._streams[header["stream"]].add(body)
+                elif self.answer is not None and not self.answer.done():
+                    self.answer.set_result((header, self._streams))
+        if self.alive:
+            self._disconnect(f"the sandbox was lost{self._words()}")
+            self._lost(self)
 
     def close(self) -> None:
         """Let it end by itself, without waiting: it sees that nobody asks any more."""
@@ -135,7 +156,7 @@ class Cell(asyncio.Protocol):
             self._kill(self.process)
             self.process.wait()
         if self.launch.base is not None:
-            folders.remove(self.launch.base)
+            confine.remove_folder(self.launch.base)
         if self.launch.container is not None and self.process.returncode:
             docker.remove(self.launch.container)
 
@@ -145,25 +166,6 @@ class Cell(asyncio.Protocol):
         if self.process is not None:
             self._socket.close()
             self.process.returncode = 0  # not ours to wait for
-
-    def data_received(self, data: bytes) -> None:
-        """Take in a piece of an answer."""
-        try:
-            messages = self._reader.feed(data)
-        except wire.WireError:
-            self.connection_lost(None)
-            return
-        for header, body in messages:
-            if "stream" in header:
-                self._streams[header["stream"]].add(body)
-            elif self._answer is not None and not self._answer.done():
-                self._answer.set_result((header, self._streams))
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Note that the sandbox is gone."""
-        if self.alive:
-            self._disconnect(f"the sandbox was lost{self._words()}")
-            self._lost(self)
 
     def _give_up(self) -> None:
         if self.alive and self.process is not None:
@@ -175,10 +177,10 @@ class Cell(asyncio.Protocol):
         if not self.alive:
             return
         self.alive = False
-        self._transport.abort()
+        self._writer.transport.abort()
         self._errors.close()
-        if self._answer is not None and not self._answer.done():
-            self._answer.set_exception(SandboxError(message))
+        if self.answer is not None and not self.answer.done():
+            self.answer.set_exception(SandboxError(message))
 
     def _kill(self, process: subprocess.Popen[bytes]) -> None:
         """Kill the sandbox's own process and those of its session."""
