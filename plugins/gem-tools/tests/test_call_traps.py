@@ -232,7 +232,7 @@ def test_every_row_of_the_table_is_tried() -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("[TOOL_CALLS] soon", "behind [TOOL_CALLS]: no valid JSON: Expecting value"),
+        ("[TOOL_CALLS] soon", "behind [TOOL_CALLS] is no valid JSON: Expecting value"),
         (f"<function=python>{A1[:-1]}", "its arguments are no valid JSON: Expecting ',' delimiter"),
         ("<function=python></function>", "code: Field required"),
         ("<function=python>print(1)</function>", "neither JSON nor parameters"),
@@ -246,9 +246,9 @@ def test_every_row_of_the_table_is_tried() -> None:
         ("Action: bash\nAction Input: ls\nObservation:", "no tool 'bash'. There are: python, search"),
         ('{"type": "function", "name": "bash", "parameters": {}}', "no tool 'bash'. There are: python, search"),
         ('{"name": "python", "arguments": {"code": "print("1")"}}', "no valid JSON"),
-        ("<execute>", "it is never closed by </execute>"),
+        ("<execute>", "stands no </execute>"),
         ("<tool_call><tool_name>python</tool_name>1</tool_call>", "no valid JSON"),
-        ("<|begin_search_query|>", "it is never closed by <|end_search_query|>"),
+        ("<|begin_search_query|>", "stands no <|end_search_query|>"),
         ('{"name": "plan-trip", "arguments": "Oslo"}', "its arguments are no valid JSON: Expecting value"),
         ("<search>rhino <answer>42</answer>", "<search> is never closed by </search>"),
     ],

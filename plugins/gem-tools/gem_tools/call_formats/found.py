@@ -64,15 +64,20 @@ def reads(parse: Parser, *, sure: bool = True) -> Reader:
         text, mark = opening.string, opening[0]
         call = parse(text, opening.start(), opening.end(), tools)
         if call is None and sure:
-            call = ParsedCall("", None, 0, problem="there stands no call")
+            call = ParsedCall("", None, 0, problem="stands no call")
         if call is None:
             return None
+        closing = f"</{mark[1:]}" if _CLOSED.fullmatch(mark) else ""
+        place = text.find(closing, max(call.end, opening.end())) if closing else -1
+        if call.problem is None and not call.cut:
+            end = closed(text, call.end)
+            if place >= 0 and text[end - 1] == "}" and text[end:place].lstrip()[:1].isalnum():
+                call = call._replace(problem="is no valid JSON: Extra data behind it")
+            else:
+                call = call._replace(end=end)
         if call.problem is not None:
-            closing = f"</{mark[1:]}" if _CLOSED.fullmatch(mark) else ""
-            end = text.find(closing, opening.end()) + len(closing) if closing and closing in text else call.end
-            call = call._replace(problem=f"behind {mark}: {call.problem}", end=end)
-        elif not call.cut:
-            call = call._replace(end=closed(text, call.end))
+            end = place + len(closing) if place >= 0 else call.end
+            call = call._replace(problem=f"behind {mark} {call.problem}", end=end)
         return tool_call(call, opening.start(), tools)
 
     return read

@@ -83,7 +83,7 @@ def json_call(text: str, at: int) -> ParsedCall:
     try:
         value, end = value_at(text, inside.end() if inside else at)
     except ValueError as error:
-        return ParsedCall("", None, 0, problem=f"no valid JSON: {error}"[:220])
+        return ParsedCall("", None, 0, problem=f"is no valid JSON: {error}"[:220])
     if isinstance(value, dict) and isinstance(value.get("function"), dict):
         value = value["function"]  # as the chat API nests it
     name = next((value[key] for key in NAMES if key in value), None) if isinstance(value, dict) else None
@@ -177,7 +177,7 @@ def function(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
         at = ending.end()
     end = _FUNCTION_END.match(text, at)
     if not given and (end is None or end.end() == at):
-        return ParsedCall(opening[1], None, 0, problem="it holds neither JSON nor parameters")
+        return ParsedCall(opening[1], None, 0, problem="stand neither JSON nor parameters")
     return ParsedCall(opening[1], given, end.end() if end else at)
 
 
@@ -198,7 +198,7 @@ def between(closing: str, takes: str) -> Parser:
         if end >= 0:
             return ParsedCall("", _text(text[at:end]), end + len(closing), takes)
         if not text[at:].strip() or text[start:at] in text[at:]:
-            return ParsedCall("", None, 0, problem=f"it is never closed by {closing}")
+            return ParsedCall("", None, 0, problem=f"stands no {closing}")
         return ParsedCall("", _text(text[at:]), len(text), takes, cut=True)
 
     return read
