@@ -33,7 +33,6 @@ _COMMANDS = {
     "plugins": "List the installed plugins, and what is wrong with them.",
     "doctor": "Find out what is broken, and what is missing to run the rest.",
     "new-plugin": "Start a plugin that installs and passes its own tests.",
-    "completion": "Print the script that completes words in your shell.",
 }
 
 

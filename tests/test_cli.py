@@ -25,7 +25,7 @@ COUNTDOWN = "toy:Countdown-v0"
     ("arguments", "message"),
     [
         (["--vesion"], "'--vesion'. Did you mean '--version'? Run 'gem --help'\n"),
-        (["run", COUNTDOWN, "--agent"], "Option '--agent' requires an argument. Run 'gem run --help'\n"),
+        (["run", COUNTDOWN, "--agent"], "Option '--agent' requires an argument. Run 'gem --help'\n"),
         (["lst"], "no command 'lst'. Did you mean 'list'? There are: list, info, play, run, plugins"),
         (["run", "toy:Cuntdown-v0"], "no environment 'toy:Cuntdown-v0'. Did you mean 'toy:Countdown-v0'"),
         (["run", "toy:nothing*"], "no environment matches 'toy:nothing*'"),

@@ -103,14 +103,6 @@ def test_words_with_a_meaning_are_refused(name: str) -> None:
         names_of(name)
 
 
-def test_license_may_be_left_out() -> None:
-    """Apache-2.0, or nothing."""
-    with_license = tomllib.loads(render(names_of("mine"), ["env"])["pyproject.toml"])["project"]
-    without = tomllib.loads(render(names_of("mine"), ["env"], "none")["pyproject.toml"])["project"]
-    assert with_license["license"] == "Apache-2.0"
-    assert "license" not in without
-
-
 def test_command_prints_three_commands_to_go_on_with(run_gem, tmp_path: Path) -> None:
     """Install, try, test; without an option, an environment."""
     assert run_gem("new-plugin", "mine").out.splitlines() == [

@@ -111,7 +111,7 @@ def test_a_piped_episode_from_beginning_to_end(play) -> None:
 
 
 def test_a_typo_does_not_end_the_episode(play) -> None:
-    """It is taken back and asked again, and what the environment said of the end is not shown; --raw sends as it is."""
+    """It is taken back and asked again, and what the environment said of the end is not shown."""
     outcome = play(STRICT, "-o", "a.jsonl", typed="a\n7\nb\nx\nc\nd\n")
     assert outcome.out.count("was not played: it cannot be read, or breaks the rules.") == 2
     assert "The end" not in outcome.out
@@ -119,7 +119,6 @@ def test_a_typo_does_not_end_the_episode(play) -> None:
     assert "Won after 4 turns. Return 1.\n" in outcome.out
     (episode,) = read_episodes("a.jsonl")
     assert [str(turn.action) for turn in episode.transitions] == [f"\\boxed{{{letter}}}" for letter in "abcd"]
-    assert "Lost after 1 turn. Return -1." in play(STRICT, "--raw", typed="a\n").out
 
 
 def test_episodes_are_those_of_a_run_with_the_same_seed(play) -> None:
@@ -174,7 +173,7 @@ def test_the_command_that_plays_it_again_has_the_same_options(play) -> None:
     end = "The same again: gem play play:Board-v0 --seed 1"
     assert play(BOARD, "--seed", "1", "-w", "").out.endswith(f"{end} -w ''\n")
     assert re.search(r"again: gem play play:Board-v0 --seed \d+\n", play(BOARD).out)
-    options = ("--max-turns", "2", "--wrappers", "concat,episode_stats", "--raw")
+    options = ("--max-turns", "2", "--wrappers", "concat,episode_stats")
     assert play(BOARD, "--seed", "1", *options).out.endswith(f"{end} {' '.join(options)}\n")
 
 

@@ -45,7 +45,7 @@ PRIVATE_IN_TESTS = {
     "plugins/gem-tools/tests/test_requirements_probes.py": {"_working"},
     "tests/conftest.py": {"_registry", "_spaces"},
     "tests/test_completion.py": {"_registry"},
-    "tests/test_tool_sessions.py": {"_sessions"},
+    "tests/test_tool_limits.py": {"_sessions"},
     "tests/testing/reference_envs.py": {"_np_random"},
 }
 

@@ -58,9 +58,8 @@ COLUMNS = ("--set", "question_key=problem", "--set", "answer_key=result")
     ("words", "id", "episodes"),
     [
         (("./mine.py:EchoEnv",), "mine:EchoEnv", 10),
-        (("mine.py",), "mine:EchoEnv", 10),
-        (("mine:EchoEnv",), "mine:EchoEnv", 10),
         (("own:No", "--import", "table"), "own:No", 10),
+        (("mine:EchoEnv", "--import", "./mine.py:EchoEnv"), "mine:EchoEnv", 10),
         (("sums.jsonl", *COLUMNS), "file:sums", 3),
     ],
 )
@@ -77,19 +76,9 @@ def test_run_takes_what_is_in_files(folder: Path, words: tuple[str, ...], id: st
         assert all("\\boxed{}" in episode.observation for episode in played)
 
 
-def test_other_commands_take_them_as_well(folder: Path) -> None:
-    """``info`` and ``play`` of the core; a second call has the same id."""
-    assert "mine:EchoEnv" in gem(folder, "info", "./mine.py:EchoEnv").stdout
-    assert "own:No" in gem(folder, "info", "own:No", "--import", "table.py").stdout
-    done = gem(folder, "play", "sums.jsonl", *COLUMNS, "--episodes", "1")
-    assert done.returncode == 0, done.stderr
-    assert "gem play sums.jsonl" in done.stdout
-
-
-@pytest.mark.parametrize("word", ["none.py:X", "none.jsonl", "mine.py:Other", "json.py", "sums.jsonl"])
+@pytest.mark.parametrize("word", ["none.py:X", "none.jsonl", "mine.py:Other", "sums.jsonl"])
 def test_a_file_that_is_none_is_refused(folder: Path, word: str) -> None:
-    """In one line: there is no such file, name, column, or its name is another module's."""
-    (folder / "json.py").write_text("")
+    """In one line: there is no such file, name, or column."""
     done = gem(folder, "run", word)
     assert done.returncode in (1, 2)
     assert len(done.stderr.splitlines()) == 1

@@ -8,15 +8,7 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import click
-from click.shell_completion import (
-    BashComplete,
-    CompletionItem,
-    FishComplete,
-    ShellComplete,
-    ZshComplete,
-    add_completion_class,
-    split_arg_string,
-)
+from click.shell_completion import BashComplete, CompletionItem, FishComplete, add_completion_class
 
 from gem_core.errors import GemError
 from gem_core.registry.lookup import registry
@@ -66,12 +58,8 @@ def _names(*kinds: type[NamedSpec]) -> Offer:
 
 
 def env_ids(ctx: click.Context, incomplete: str) -> list[tuple[str, str]]:
-    """Return the ids that begin with a text; only their namespaces if there are several."""
-    records = [record for record in registry().envs() if record.id.startswith(incomplete)]
-    namespaces = list(dict.fromkeys(f"{record.namespace}:" for record in records))
-    if len(namespaces) > 1:
-        return [(namespace, "") for namespace in namespaces]
-    return [(record.id, record.summary) for record in records]
+    """Return the ids that begin with a text."""
+    return [(record.id, record.summary) for record in registry().envs() if record.id.startswith(incomplete)]
 
 
 def _agents(ctx: click.Context, incomplete: str) -> list[tuple[str, str]]:
@@ -100,32 +88,9 @@ PLUGINS = Words(_plugins)
 
 
 class ColonBash(BashComplete):
-    """Completion for bash where words have colons, as ids do, and equals signs, as agents at seats do.
+    """Completion for bash, which would take the colon of an id for the end of a word."""
 
-    bash takes either for the end of a word, so that click's own script would see three words in ``game:Mast``. Here
-    the line is read instead, and the part before the last colon or equals sign is removed from the completions.
-    """
-
-    source_template = """\
-%(complete_func)s() {
-    local line=${COMP_LINE:0:COMP_POINT} IFS=$'\\n' type value
-    local word=${line##*[[:space:]]}
-    local before=${word%%%%"${word##*[:=]}"}
-    COMPREPLY=()
-    while IFS=',' read -r type value; do
-        if [[ $type != plain ]]; then compopt -o default; continue; fi
-        COMPREPLY+=("${value#"$before"}")
-        if [[ $value == *: ]]; then compopt -o nospace; fi
-    done < <(env GEM_COMP_LINE="$line" %(complete_var)s=bash_complete "$1" 2>/dev/null)
-}
-complete -o nosort -F %(complete_func)s %(prog_name)s
-"""
-
-    def get_completion_args(self) -> tuple[list[str], str]:
-        """Return the complete words before the cursor, and the incomplete one."""
-        line = os.environ["GEM_COMP_LINE"]
-        words = split_arg_string(line)[1:]
-        return (words, "") if not words or line[-1:].isspace() else (words[:-1], words[-1])
+    source_template = "COMP_WORDBREAKS=${COMP_WORDBREAKS//:}\n" + BashComplete.source_template
 
 
 class CommaFish(FishComplete):
@@ -134,7 +99,5 @@ class CommaFish(FishComplete):
     source_template = FishComplete.source_template.replace('string split ","', 'string split --max 1 ","')
 
 
-SHELLS: dict[str, type[ShellComplete]] = {"bash": ColonBash, "zsh": ZshComplete, "fish": CommaFish}
-
-for shell in SHELLS.values():
+for shell in (ColonBash, CommaFish):
     add_completion_class(shell)

@@ -6,24 +6,22 @@ import asyncio
 import json
 import os
 import platform
-import shutil
 import sys
 from collections import Counter
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from gem_core import __version__
 from gem_core.background import in_thread, run_sync
 from gem_core.cli.layout import counted
 from gem_core.progress import Progress
-from gem_core.registry.distributions import extras_of, installed_version
+from gem_core.registry.distributions import installed_version
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import Registry, registry
 from gem_core.registry.plugins import Plugin, one_line
 from gem_core.registry.requirements import RequirementStatus, find
-from gem_core.registry.specs import EnvSpec, RequirementSpec, ToolSpec
-from gem_core.testing.plugin_check import TIMEOUT_S, inspect_plugin
+from gem_core.registry.specs import EnvSpec, ToolSpec
+from gem_core.testing.plugin_check import inspect_plugin
 
 PACKAGES = ("gymnasium", "numpy", "pydantic", "pluggy", "click", "rich")
 """Dependencies of the core, whose versions belong in every bug report."""
@@ -54,9 +52,6 @@ def diagnose(*, quick: bool = False) -> dict[str, Any]:
         for status, error in [status_of(record)]
     ]
     broken += [f"the status of tool {tool['tool']!r} failed: {tool['error']}" for tool in tools if tool["error"]]
-    extras = {
-        extra: {name: installed_version(name) for name in names} for extra, names in extras_of("gem-core").items()
-    }
     return {
         "gem_core": __version__,
         "python": platform.python_version(),
@@ -64,25 +59,11 @@ def diagnose(*, quick: bool = False) -> dict[str, Any]:
         "executable": sys.executable,
         "platform": platform.platform(),
         "packages": {name: installed_version(name) for name in PACKAGES},
-        "extras": [
-            {"extra": extra, "packages": packages, "present": all(packages.values())}
-            for extra, packages in extras.items()
-        ],
         "plugins": [describe_plugin(plugin) for plugin in plugins],
         "tools": tools,
         "requirements": requirements(found),
-        "command": vars(which_gem()),
         "broken": broken,
     }
-
-
-def which_gem() -> RequirementStatus:
-    """Tell whether the command ``gem`` of this PATH is ours; RubyGems has one of that name."""
-    path = shutil.which("gem")
-    if path is not None and Path(path).parent.samefile(Path(sys.executable).parent):
-        return RequirementStatus("met", path)
-    found = "no 'gem' is on the PATH" if path is None else f"{path} is not the 'gem' of this environment"
-    return RequirementStatus("unmet", found, "use 'python -m gem_core'")
 
 
 def describe_plugin(plugin: Plugin) -> dict[str, Any]:
@@ -107,17 +88,11 @@ def offers_in_words(described_plugin: Mapping[str, Any]) -> str:
 
 
 def requirements(found: Registry) -> list[dict[str, Any]]:
-    """Return every requirement of an environment, with what is known of it, those to act on first.
-
-    What plugins offer a probe for, the hub and the network are in it whether an environment needs them or not.
-    """
+    """Return every requirement of an environment, with what is known of it, those to act on first."""
     needing: dict[str, list[str]] = {}
     for record in found.envs():
         for requirement in record.requires:
             needing.setdefault(requirement, []).append(record.id)
-    words = {requirement.partition(":")[0] for requirement in needing}
-    probed = [*(record.name for record in found.specs(RequirementSpec)), "hub", "network"]
-    needing |= {word: [] for word in probed if word not in words}
     rows = []
     for requirement, ids in needing.items():
         try:
@@ -125,9 +100,9 @@ def requirements(found: Registry) -> list[dict[str, Any]]:
             facts = {**vars(status)}
         except Exception as error:  # noqa: BLE001 - a failing probe of a plugin must not end the report
             facts = vars(RequirementStatus("unknown", f"its probe failed: {one_line(error)}"))
-        rows.append({"requirement": requirement, **facts, "environments": len(ids), "example": next(iter(ids), None)})
+        rows.append({"requirement": requirement, **facts, "environments": len(ids), "example": ids[0]})
     order = ["unmet", "unknown", "untried", "met"]
-    return sorted(rows, key=lambda row: (not row["environments"], order.index(row["status"])))
+    return sorted(rows, key=lambda row: order.index(row["status"]))
 
 
 def status_of(record: ToolSpec, timeout_s: float = 30.0) -> tuple[Any, str | None]:
@@ -162,15 +137,14 @@ def status_line(status: Any) -> str:
     return " ".join(str(status or "").split())
 
 
-def problems_of(plugin: Plugin, timeout_s: float = TIMEOUT_S, *, quick: bool = False) -> list[str]:
+def problems_of(plugin: Plugin, *, quick: bool = False) -> list[str]:
     """Return one line for each thing that is wrong with a plugin, though it loads.
 
     Args:
         plugin: The plugin, whose entry points are imported in another interpreter.
-        timeout_s: Seconds that the import of one entry point may take.
         quick: Whether to import nothing, and tell of conflicts only.
     """
     if quick or plugin.failure is not None or plugin.disabled or plugin.is_core:
         return [*plugin.conflicts]
-    seen = inspect_plugin(plugin.entry_point, timeout_s)
+    seen = inspect_plugin(plugin.entry_point)
     return [*plugin.conflicts, *([seen.failure] if seen.failure else seen.problems())]

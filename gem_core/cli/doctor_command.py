@@ -57,12 +57,6 @@ def command(ctx: click.Context, quick: bool, as_json: bool) -> None:
 def _versions(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "", f"gem-core {found['gem_core']}, {found['implementation']} {found['python']} on {found['platform']}"
     yield "", ", ".join(f"{name} {version or 'missing'}" for name, version in found["packages"].items())
-    for extra in found["extras"]:
-        if not extra["present"]:
-            missing = [name for name, version in extra["packages"].items() if version is None]
-            yield "absent", f"{', '.join(missing)}: pip install 'gem-core[{extra['extra']}]'"
-    if found["command"]["status"] != "met":
-        yield "note", f"{found['command']['detail']}: {found['command']['advice']}"
 
 
 def _plugin(plugin: dict[str, Any]) -> tuple[str, str]:
@@ -81,10 +75,10 @@ def _tool(tool: dict[str, Any]) -> tuple[str, str]:
 
 
 def _requirement(row: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    count, name = row["environments"], "never" if row["requirement"].startswith("never:") else row["requirement"]
-    needed = f"needed by {counted(count, 'environment')}, as {row['example']}" if count else "no environment needs it"
+    name = "never" if row["requirement"].startswith("never:") else row["requirement"]
+    needed = f"needed by {counted(row['environments'], 'environment')}, as {row['example']}"
     yield row["status"], f"{name}: {row['detail']}; {needed}"
-    if count and row["advice"]:
+    if row["advice"]:
         yield "", f"→ {row['advice']}"
 
 

@@ -86,21 +86,13 @@ def _describe_env(record: EnvSpec, as_json: bool) -> None:
 
 def _print_first_observations(record: EnvSpec) -> None:
     from gem_core.api import make
-    from gem_core.env.agent_selector import AgentSelector
     from gem_core.env.multi_agent import MultiAgentEnv
 
     with closing(make(record)) as env:
         observation, _ = env.reset(seed=0)
-        if not isinstance(env, MultiAgentEnv):
-            _print_observation("The first observation", observation)
-            return
-        selector = env.agent_selector
-    if type(selector).choose is not AgentSelector.choose:
-        _print_text("", "The environment decides who acts next.")
-    else:
-        _print_text("", f"The agents act {'one after another' if selector.mode == 'sequential' else 'all at once'}.")
-    for seat, seen in observation.items():
-        _print_observation(f"The first observation of {seat}", seen)
+    seen = observation if isinstance(env, MultiAgentEnv) else {"": observation}
+    for seat, text in seen.items():
+        _print_observation(f"The first observation of {seat}" if seat else "The first observation", text)
 
 
 def _print_observation(title: str, observation: Observation) -> None:

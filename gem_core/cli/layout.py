@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import shutil
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import chain, islice
 from typing import Any, NamedTuple
 
 import click
 
 _GAP = 2
 _LEAST_TEXT = 24
-_ROWS_AHEAD = 1000
 
 
 def output_width() -> int | None:
@@ -33,24 +30,16 @@ def wrapped(text: str, width: int | None, indent: int | None = None) -> list[str
     """Return a line as lines that fit a width, broken between words.
 
     Args:
-        text: It may have colours.
+        text: It may have colours, which are lost where it is broken.
         width: None for any width.
         indent: Spaces before the second line and all others; by default those of the first.
     """
     if width is None or len(click.unstyle(text)) <= width:
         return [text]
-    if "\x1b" not in text:
-        before = " " * (len(text) - len(text.lstrip(" ")) if indent is None else indent)
-        room = max(width, len(before) + 20)
-        return textwrap.wrap(text, room, subsequent_indent=before, break_long_words=False, break_on_hyphens=False)
-    from rich.console import Console
-    from rich.text import Text
-
-    console = Console(
-        file=io.StringIO(), width=width, force_terminal=True, color_system="standard", legacy_windows=False
-    )
-    console.print(Text.from_ansi(text), soft_wrap=False, highlight=False)
-    return str(console.file.getvalue()).splitlines()  # type: ignore[attr-defined]
+    text = click.unstyle(text)
+    before = " " * (len(text) - len(text.lstrip(" ")) if indent is None else indent)
+    room = max(width, len(before) + 20)
+    return textwrap.wrap(text, room, subsequent_indent=before, break_long_words=False, break_on_hyphens=False)
 
 
 def counted(number: int, noun: str) -> str:
@@ -75,12 +64,7 @@ def shown_count(number: int | None) -> str:
 
 def cut_at_word(text: str, width: int) -> str:
     """Return text in at most ``width`` characters, cut after a whole word, with a mark where it was cut."""
-    if len(text) <= width:
-        return text
-    kept = text[: max(width - 1, 0)]
-    if text[len(kept)] != " ":
-        kept = kept.rpartition(" ")[0]
-    return f"{kept.rstrip(' ,;:')}…" if kept.strip() else "…"[:width]
+    return text if len(text) <= width else f"{text[:width].rpartition(' ')[0].rstrip(' ,;:')}…"[:width]
 
 
 class Column(NamedTuple):
@@ -124,17 +108,16 @@ def print_table(columns: Sequence[Column], rows: Iterable[Any]) -> None:
 
 
 def table_lines(columns: Sequence[Column], rows: Iterable[Any], width: int | None) -> Iterator[str]:
-    """Yield the lines of a table as its rows come, and a note of the columns that are left out.
+    """Yield the lines of a table, and a note of the columns that are left out.
 
     Args:
         columns: Without a header in any of them the table has none.
-        rows: What the cells are made from; columns are as wide as the first thousand need.
+        rows: What the cells are made from.
         width: Characters in a line: text is cut and columns are left out to fit; None for any number, without colours.
     """
-    rest = iter(rows)
-    ahead = list(islice(rest, _ROWS_AHEAD))
+    rows = list(rows)
     widths = {
-        column: max(_cells(column.header), max((_cells(column.cell(row)) for row in ahead), default=0))
+        column: max(_cells(column.header), max((_cells(column.cell(row)) for row in rows), default=0))
         for column in columns
     }
     if width is not None:
@@ -142,7 +125,7 @@ def table_lines(columns: Sequence[Column], rows: Iterable[Any], width: int | Non
     if any(column.header for column in widths):
         header = _line(column.padded(column.header, cells) for column, cells in widths.items())
         yield header if width is None else click.style(header, bold=True)
-    for row in chain(ahead, rest):
+    for row in rows:
         padded = {column: column.padded(column.cell(row), cells) for column, cells in widths.items()}
         yield _line(padded.values() if width is None else (each.coloured(row, padded[each]) for each in padded))
     left_out = [column.header for column in columns if column not in widths]

@@ -47,9 +47,7 @@ def command(pattern: str | None, show_all: bool, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps([describe_record(record) for record in records], indent=1))
     elif not records:
-        distribution = {None: "gem-games", "tools": "gem-tools"}.get(pattern)
-        advice = f" Try 'pip install {distribution}'." if distribution else ""
-        click.echo(f"No {pattern or 'environments'} are installed.{advice}")
+        click.echo(f"No {pattern or 'environments'} are installed; 'pip install gem-games gem-tools' brings some.")
     elif pattern is None and not show_all and in_terminal:
         _print_overview(found.envs())
     else:

@@ -9,38 +9,28 @@ from typing import Any, TypeVar
 
 import click
 
+from gem_core.cli.tool_options import AtLeast
 from gem_core.errors import ArgumentError
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
-_NUMBER, _COUNT = click.IntRange(min=0), click.IntRange(min=1)
-_SHARE, _SECONDS = click.FloatRange(0, 1), click.FloatRange(min=0, min_open=True)
+_SECONDS = click.FloatRange(min=0, min_open=True)
 
 _OPTIONS = [
     click.option("--base-url", metavar="URL", help="Address of the model server, as in http://localhost:8000/v1."),
-    click.option("--max-concurrency", metavar="INTEGER", type=_COUNT, help="Requests at once.  [default: 64]"),
+    click.option("--max-concurrency", type=AtLeast(min=1), help="Requests at once.  [default: 64]"),
     click.option("--temperature", metavar="NUMBER", type=click.FloatRange(min=0), help="Temperature of sampling."),
-    click.option(
-        "--top-p", metavar="NUMBER", type=_SHARE, help="Nucleus sampling: share of probability to sample from."
-    ),
-    click.option("--max-tokens", metavar="INTEGER", type=_COUNT, help="Longest answer, in tokens."),
+    click.option("--top-p", metavar="NUMBER", type=click.FloatRange(0, 1), help="Share of probability to sample from."),
+    click.option("--max-tokens", type=AtLeast(min=1), help="Longest answer, in tokens."),
     click.option("--stop", multiple=True, metavar="TEXT", help="Text at which the model stops. Can be repeated."),
     click.option("--sampling-seed", type=int, help="Seed of sampling, the same for every request."),
     click.option("--system", metavar="TEXT|@FILE", help="System prompt, or the file that holds it."),
     click.option("--extra-body", metavar="JSON", help="More fields of the request, as in '{\"top_k\": 20}'."),
     click.option(
-        "--request-timeout",
-        type=_SECONDS,
-        metavar="SECONDS",
-        help="Limit of a request, retries included.  [default: 1800]",
+        "--request-timeout", type=_SECONDS, metavar="SECONDS", help="Limit, retries included.  [default: 1800]"
     ),
-    click.option(
-        "--attempt-timeout",
-        type=_SECONDS,
-        metavar="SECONDS",
-        help="Limit of one attempt, tried again after it.  [default: 600]",
-    ),
-    click.option("--max-retries", metavar="INTEGER", type=_NUMBER, help="Attempts after the first.  [default: 8]"),
+    click.option("--attempt-timeout", type=_SECONDS, metavar="SECONDS", help="Limit of one attempt.  [default: 600]"),
+    click.option("--max-retries", type=AtLeast(min=0), help="Attempts after the first.  [default: 8]"),
     click.option("--stream", is_flag=True, help="Receive answers as a stream."),
     click.option("--token-ids", is_flag=True, help="Record token ids and log-probabilities, if the server has them."),
     click.option("--no-native-tools", is_flag=True, help="Read tool calls from the model's text only."),

@@ -17,7 +17,6 @@ from gem_core.errors import ArgumentError
 _TEMPLATES = files("gem_core.cli.templates") / "plugin"
 KINDS: dict[str, dict[str, Any]] = tomllib.loads((_TEMPLATES / "kinds.toml").read_text(encoding="utf-8"))
 """What is written of each thing that a plugin may offer."""
-LICENSES = ("Apache-2.0", "none")
 
 _NAME = re.compile(r"[a-z](?:[-_.]?[a-z0-9]){0,29}", re.ASCII)
 _TAKEN = {"core", "new", "gem"}
@@ -60,7 +59,7 @@ def names_of(name: str) -> Names:
     return Names(normal, f"gem-{normal}", f"gem_{slug}", slug)
 
 
-def render(names: Names, kinds: Sequence[str], license_name: str = "Apache-2.0") -> dict[str, str]:
+def render(names: Names, kinds: Sequence[str]) -> dict[str, str]:
     """Return the text of every file of a new plugin, by its path in the distribution."""
     chosen = {kind: KINDS[kind] for kind in KINDS if kind in kinds}
     specs = [each["spec"].strip() for each in chosen.values() if "spec" in each]
@@ -69,7 +68,6 @@ def render(names: Names, kinds: Sequence[str], license_name: str = "Apache-2.0")
     needed = ["gem-core>=0.1", *(each["dependency"] for each in chosen.values() if "dependency" in each)]
     words = {
         "description": f"A plugin of GEM with {', '.join(each['noun'] for each in chosen.values())}.",
-        "license": "" if license_name == "none" else f'license = "{license_name}"\n',
         "dependencies": ", ".join(f'"{each}"' for each in needed),
         "hooks": hooks.rstrip("\n"),
         "envs": "\n        ".join(specs),

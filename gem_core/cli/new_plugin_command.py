@@ -8,7 +8,7 @@ from shlex import quote
 import click
 
 from gem_core.cli.documented import Documented
-from gem_core.cli.new_plugin import KINDS, LICENSES, first_steps, names_of, render, write
+from gem_core.cli.new_plugin import KINDS, first_steps, names_of, render, write
 from gem_core.errors import ArgumentError
 
 
@@ -22,8 +22,7 @@ from gem_core.errors import ArgumentError
 @click.option("--command", "kinds", flag_value="command", multiple=True, help="A subcommand of gem.")
 @click.option("--backend", "kinds", flag_value="backend", multiple=True, help="A backend of vector environments.")
 @click.option("--into", type=click.Path(file_okay=False, path_type=Path), help="Folder to write.  [default: gem-NAME]")
-@click.option("--license", "license_name", type=click.Choice(LICENSES), default=LICENSES[0], show_default=True)
-def command(name: str, kinds: tuple[str, ...], into: Path | None, license_name: str) -> None:
+def command(name: str, kinds: tuple[str, ...], into: Path | None) -> None:
     """Start a plugin: a distribution that installs, registers, and passes its own conformance tests.
 
     Kinds can be combined. Prints the three commands to type next.
@@ -43,7 +42,7 @@ def command(name: str, kinds: tuple[str, ...], into: Path | None, license_name: 
     chosen = [kind for kind in KINDS if kind in kinds] or ["env"]
     target = into or Path(names.distribution)
     _refuse_taken(names.name, names.distribution)
-    texts = render(names, chosen, license_name)
+    texts = render(names, chosen)
     write(target, texts)
     click.echo(f"Wrote {len(texts)} files to {target}. Go on with:")
     click.echo(f"  python -m pip install -e {quote(f'{_dotted(target)}[test]')}")

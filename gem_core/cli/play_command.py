@@ -52,7 +52,6 @@ if TYPE_CHECKING:
 )
 @arguments_option
 @stack_options("Observations are then shown exactly as a model reads them; '' shows those of the bare environment.")
-@click.option("-r", "--raw", is_flag=True, help="Send answers as you type them, without the expected form.")
 @click.option("-o", "--out", type=click.Path(dir_okay=False), help="Record the finished episodes in this file.")
 @click.option("--overwrite", is_flag=True, help="Replace the file if it exists.")
 @click.pass_context
@@ -68,7 +67,6 @@ def command(
     wrappers: tuple[str, ...],
     tools: tuple[str, ...],
     max_tool_uses: int | str | None,
-    raw: bool,
     out: str | None,
     overwrite: bool,
 ) -> None:
@@ -88,10 +86,10 @@ def command(
 
     Answers:
       25           is sent as \boxed{25} if the environment expects a box, and likewise in a tag or a fenced
-                   block. An answer in that form, a tool call, and all with --raw are sent unchanged.
+                   block. An answer in that form, and a tool call, are sent unchanged.
       two lines    Write them between two lines of triple quotes, in which nothing is a command.
       (nothing)    An empty line is ignored.
-      a typo       If the environment cannot read an answer, you answer again. With --raw it counts.
+      a typo       If the environment cannot read an answer, you answer again.
 
     Commands:
       ?            the keys, the form of an answer, and the rules
@@ -120,7 +118,6 @@ def command(
             env,
             seed=seed,
             repeatable=record.deterministic,
-            raw=raw,
             exact=bool(wrappers),
             summary=record.summary,
             writer=writer,

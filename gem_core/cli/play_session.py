@@ -49,7 +49,6 @@ class PlaySession:
         env: What is played, made by ``make``.
         seed: Seed of the run; None draws one, found as ``seed``.
         repeatable: Whether a seed and the actions repeat an episode, so that turns can be taken back.
-        raw: Send answers as they are typed.
         exact: Show observations to the letter, as a model gets them.
         summary: Of the environment.
         writer: Where finished episodes are recorded, with images beside them; None for nowhere.
@@ -59,7 +58,6 @@ class PlaySession:
     env: AnyEnv
     seed: int | None
     repeatable: bool
-    raw: bool = False
     exact: bool = False
     summary: str = ""
     writer: EpisodeWriter | None = None
@@ -114,7 +112,7 @@ class PlaySession:
             except EnvFaultError as error:
                 raise (error.__cause__ or error) from None
             last = episode.transitions[-1]
-            if self.raw or not self.repeatable or not _was_not_played(last):
+            if not self.repeatable or not _was_not_played(last):
                 break
             self._repeated, self._show = episode.transitions[:-1], lambda: None
             # The reason is not shown: the last observation of a task may reveal its solution.
@@ -142,8 +140,7 @@ class PlaySession:
         self._show()
         self._show = self._show_turn
         commands = {"help": self._show_help, "undo": self._undo, "random": context.sample_random_action}
-        answer = self._terminal.ask(f"turn {context.turn + 1}> ", commands)
-        return answer if self.raw else self._form(context).around(answer)
+        return self._form(context).around(self._terminal.ask(f"turn {context.turn + 1}> ", commands))
 
     def _undo(self) -> None:
         turns = cast("Context", self._context).transitions
@@ -167,8 +164,7 @@ class PlaySession:
         show(f"\n{context.env_id} · episode {len(self.finished) + 1}", "bold")
         if self.summary and not self.finished:
             show(self.summary, "dim")
-        form = "you type it" if self.raw else in_one_line(str(self._form(context)))
-        show(f"An answer is sent as {form}. Type ? for help.", "dim")
+        show(f"An answer is sent as {in_one_line(str(self._form(context)))}. Type ? for help.", "dim")
         if context.system:
             show()
             self._terminal.show(self._text(context.system))

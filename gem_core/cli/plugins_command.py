@@ -12,24 +12,14 @@ from gem_core.cli.diagnosis import describe_plugin, offers_in_words, problems_of
 from gem_core.cli.documented import Documented
 from gem_core.cli.layout import echo_line
 from gem_core.registry.lookup import registry
-from gem_core.testing.plugin_check import TIMEOUT_S
 
 
 @click.command("plugins", cls=Documented)
 @click.argument("name", required=False, type=PLUGINS)
 @click.option("--check", is_flag=True, help="Import all that they offer; exit with 1 if something is wrong.")
-@click.option(
-    "--timeout",
-    "timeout_s",
-    type=click.FloatRange(min=0, min_open=True),
-    default=TIMEOUT_S,
-    show_default=True,
-    metavar="SECONDS",
-    help="Longest time to import one entry point, with --check.",
-)
 @click.option("--json", "as_json", is_flag=True, help="Write one JSON list.")
 @click.pass_context
-def command(ctx: click.Context, name: str | None, check: bool, timeout_s: float, as_json: bool) -> None:
+def command(ctx: click.Context, name: str | None, check: bool, as_json: bool) -> None:
     """List the installed plugins, what each offers and how long it took to load.
 
     Examples:
@@ -43,7 +33,7 @@ def command(ctx: click.Context, name: str | None, check: bool, timeout_s: float,
     plugins = registry().plugins() if name is None else registry().plugins_named(name)
     found: list[dict[str, Any]] = []
     for plugin in plugins:
-        found.append({**describe_plugin(plugin), "problems": problems_of(plugin, timeout_s, quick=not check)})
+        found.append({**describe_plugin(plugin), "problems": problems_of(plugin, quick=not check)})
         if not as_json:
             _print(found[-1], with_traceback=check)
     if as_json:

@@ -13,9 +13,7 @@ from click.shell_completion import CompletionItem
 from gem_core import __version__
 from gem_core._plugin import gem_add_commands
 from gem_core.cli.documented import Documented
-from gem_core.cli.layout import (
-    echo_line,
-)
+from gem_core.cli.layout import echo_line
 from gem_core.errors import GemError
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
@@ -82,6 +80,11 @@ def cli(ctx: click.Context, traceback: bool) -> None:
       gem play game:GuessTheNumber-v0
       gem run game:GuessTheNumber-v0 --agent bisect --episodes 50
       gem run ./my_env.py:MyEnv --agent my_module:my_agent --num-envs 16 --out runs/mine.jsonl
+
+    A shell completes commands, options, ids, agents, wrappers and files after one of these lines:
+      bash  eval "$(_GEM_COMPLETE=bash_source gem)"
+      zsh   eval "$(_GEM_COMPLETE=zsh_source gem)"
+      fish  _GEM_COMPLETE=fish_source gem | source
     """
     if os.environ.get("NO_COLOR"):  # see no-color.org; rich heeds it by itself
         ctx.color = False
@@ -108,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         click.echo(error.format_message(), err=True)
         code = error.exit_code
     except click.ClickException as error:
-        _complain(_click_message(error, arguments))
+        _complain(_click_message(error))
         code = error.exit_code
     except (KeyboardInterrupt, click.Abort):
         click.echo(err=True)  # what follows does not stand behind ^C
@@ -139,12 +142,11 @@ def _line_of(error: Exception) -> str:
     return f"{type(error).__name__}: {error}{where}. Run 'gem --traceback …' for the whole"
 
 
-def _click_message(error: click.ClickException, arguments: Sequence[str]) -> str:
+def _click_message(error: click.ClickException) -> str:
     message = error.format_message()
     if not isinstance(error, click.UsageError):
         return message
-    # click leaves the context out where an option lacks its value.
-    path = error.ctx.command_path if error.ctx else " ".join(["gem", *(word for word in arguments[:1] if word in _OWN)])
+    path = error.ctx.command_path if error.ctx else "gem"
     return f"{message.rstrip('.')}{'' if message.endswith('?') else '.'} Run '{path} --help'"
 
 

@@ -6,14 +6,12 @@ import importlib
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import click
 
-from gem_core.cli.layout import counted
 from gem_core.cli.list_command import matching
 from gem_core.errors import ArgumentError, UnknownEnvError
 from gem_core.registry.entry_points import load_entry_point
@@ -21,7 +19,7 @@ from gem_core.registry.lookup import registry
 from gem_core.registry.requirements import unmet
 from gem_core.registry.specs import EnvSpec
 
-_FILE = re.compile(r"(?P<file>.+\.py)(?::(?P<name>\w+))?", re.DOTALL)
+_FILE = re.compile(r"(?P<file>.+\.py):(?P<name>\w+)", re.DOTALL)
 _NOT_IN_IDS = re.compile(r"[^\w.-]+", re.ASCII)
 _ASK_FOR_A_BOX = "{question}\n\nWrite your answer inside \\boxed{}."
 
@@ -41,10 +39,6 @@ def find_env(word: str) -> tuple[EnvSpec, dict[str, Any]]:
         return _env_of_class(Path(match["file"]), match["name"]), {}
     if _is_data(path) and (path.is_file() or ":" not in word):
         return _env_of_questions(path), {}
-    module, _, name = word.partition(":")
-    file = Path(f"{module}.py")  # an agent of MODULE:CALLABLE is looked for there, too
-    if file.is_file() and name and word not in {record.id for record in registry().envs()}:
-        return _env_of_class(file, name), {}
     if ":" in word or not (path.is_dir() or os.sep in word):
         return registry().env(word), {}
     if not path.is_dir():
@@ -54,33 +48,22 @@ def find_env(word: str) -> tuple[EnvSpec, dict[str, Any]]:
 
 
 def import_envs(word: str) -> None:
-    """Import a module that registers environments, or register a class in a file as ``find_env`` does.
+    """Import a module, or a file, that registers environments; or register a class in a file as ``find_env`` does.
 
     Raises:
         ArgumentError: It cannot be imported.
     """
     if word.endswith(".py"):
         _module_of(Path(word))
-    elif _FILE.fullmatch(word) or _is_data(Path(word)):
+    elif _FILE.fullmatch(word):
         find_env(word)
     else:
         _imported(word, f"--import {word}")
 
 
-def _env_of_class(path: Path, name: str | None) -> EnvSpec:
-    """Register a class, or function that returns an environment, in a file; without a name the only environment."""
+def _env_of_class(path: Path, name: str) -> EnvSpec:
+    """Register a class, or function that returns an environment, in a file."""
     module = _module_of(path)
-    if name is None:
-        import gymnasium  # here, so that help need not wait for it
-
-        from gem_core.env.multi_agent import MultiAgentEnv
-
-        own = [each for each in vars(module).values() if isinstance(each, type) and each.__module__ == module.__name__]
-        names = [each.__name__ for each in own if issubclass(each, gymnasium.Env | MultiAgentEnv)]
-        if len(names) != 1:
-            form = f"{path}:{names[0] if names else 'CLASS'}"
-            raise ArgumentError(f"{path} has {counted(len(names), 'environment')}: name one, as in {form}")
-        name = names[0]
     maker = load_entry_point(f"{module.__name__}:{name}", str(path))
     record = EnvSpec(
         id=f"{module.__name__}:{name}",
@@ -143,23 +126,15 @@ def find_envs(given: tuple[str, ...], *, several: bool) -> list[tuple[EnvSpec, d
     """
     expanded: list[tuple[EnvSpec, dict[str, Any]]] = []
     for each in given:
-        if any(character in each for character in "*?["):
-            others = f"for {'one agent' if several else 'several agents'}"
-            fitting = _fitting(matching(each), lambda record: bool(record.seats) == several, others)
-            closed = "that cannot run here ('gem info ID' says why)"
-            expanded += [
-                (record, {}) for record in _fitting(fitting, lambda record: not unmet(record.requires), closed)
-            ]
-        else:
+        if not any(character in each for character in "*?["):
             expanded.append(find_env(each))
+            continue
+        records = matching(each)
+        of_kind = [record for record in records if bool(record.seats) == several] or records
+        kept = [record for record in of_kind if not unmet(record.requires)] or of_kind
+        left_out = ", ".join(record.id for record in records if record not in kept)
+        if left_out:
+            kind = "several agents" if several else "one agent"
+            click.echo(f"gem: left out as not for {kind}, or as unable to run here: {left_out}", err=True)
+        expanded += [(record, {}) for record in kept]
     return [one for place, one in enumerate(expanded) if one not in expanded[:place]]
-
-
-def _fitting(records: Sequence[EnvSpec], fits: Callable[[EnvSpec], bool], others: str) -> Sequence[EnvSpec]:
-    """Return the records that fit, and name the others; all if none fits."""
-    kept = [record for record in records if fits(record)]
-    left_out = [record.id for record in records if record not in kept]
-    if not kept or not left_out:
-        return records
-    click.echo(f"gem: left out {len(left_out)} of {len(records)} {others}: {', '.join(left_out)}", err=True)
-    return kept

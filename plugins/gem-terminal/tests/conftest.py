@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import pytest
-from memory_backend import plain_task
+from hypothesis import settings
 from scripted import Script
 
-from gem_terminal import TerminalEnv, episode, terminal_env
+from gem_terminal import episode
 
-if TYPE_CHECKING:
-    from gem_terminal.tasks.task import Task
+# How long an example takes is a matter of the machine, and of what else runs on it.
+settings.register_profile("gem", deadline=None)
+settings.load_profile("gem")
 
 REAL = (
+    "test_docker_held_up",
+    "test_docker_leftovers",
     "test_docker_machines",
     "test_docker_services",
-    "test_docker_leftovers",
+    "test_local_endings",
     "test_shell_keys",
     "test_shell_limits",
     "test_terminal_command",
@@ -42,23 +44,6 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Script:
     monkeypatch.setattr(episode, "Shell", script.shell)
     monkeypatch.setattr(episode, "verify", script.verify)
     return script
-
-
-@pytest.fixture
-def make(monkeypatch: pytest.MonkeyPatch, script: Script) -> Iterator[Callable[..., TerminalEnv]]:
-    """Make environments on the memory backend; closing them leaves no machine."""
-    made: list[TerminalEnv] = []
-
-    def make(*tasks: Task, pool_size: int = 0, **options: Any) -> TerminalEnv:
-        chosen = tasks or [plain_task(name) for name in ("one", "two", "three")]
-        monkeypatch.setattr(terminal_env, "select_tasks", lambda *_: chosen)
-        made.append(TerminalEnv("anywhere", backend=script.backend, pool_size=pool_size, **options))
-        return made[-1]
-
-    yield make
-    for env in made:
-        env.close()
-    assert script.backend.live == {}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
