@@ -39,7 +39,7 @@ import json
 import shutil
 import string
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +62,20 @@ SHOWN = ("eval/return", "eval/success", "return", "success", "errors", "loss", "
 """The metrics that are printed; all are in ``metrics.jsonl``."""
 
 
+def at_least_1(text):
+    """Return a whole number from 1 up."""
+    if (number := int(text)) < 1:
+        raise argparse.ArgumentTypeError(f"{number} is not 1 or more")
+    return number
+
+
+def above_0(text):
+    """Return a number above 0."""
+    if not (number := float(text)) > 0:
+        raise argparse.ArgumentTypeError(f"{number:g} is not above 0")
+    return number
+
+
 def read_options(arguments=None):
     """Return the options; a resumed run keeps its own, but for those that are given anew, as ``--updates``."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -73,23 +87,23 @@ def read_options(arguments=None):
     add("--out", type=Path, default=Path("runs/train_hf"), help="folder of metrics, checkpoints and evaluations")
     add("--resume", type=Path, metavar="OUT", help="go on with the run of this folder from its last checkpoint")
     add("--updates", type=int, default=100, help="steps of the optimizer")
-    add("--episodes", type=int, default=64, help="episodes for each update")
-    add("--num-envs", type=int, default=64, help="how many of them run at once, and are generated for")
+    add("--episodes", type=at_least_1, default=64, help="episodes for each update")
+    add("--num-envs", type=at_least_1, default=64, help="how many of them run at once, and are generated for")
     add("--gamma", type=float, default=0.9, help="discount from turn to turn")
     add("--lora-rank", type=int, default=0, help="train a LoRA adapter of this rank; 0 trains all weights")
-    add("--lr", type=float, help="learning rate; by default 1e-4 with LoRA, else 1e-6")
-    add("--micro-batch", type=int, default=8, help="rows in one forward and backward pass; gradients accumulate")
+    add("--lr", type=above_0, help="learning rate; by default 1e-4 with LoRA, else 1e-6")
+    add("--micro-batch", type=at_least_1, default=8, help="rows in one forward and backward pass; gradients accumulate")
     add("--gradient-checkpointing", action="store_true", help="less memory for a third more time")
     add("--dtype", choices=["float32", "bfloat16"], default=DTYPE, help="of the computation")
     add("--engine", choices=["transformers", "vllm"], default="transformers", help="what generates")
-    add("--temperature", type=float, default=1.0)
-    add("--max-tokens", type=int, default=512, help="longest response")
-    add("--max-context", type=int, default=8192, help="longest conversation; one that overflows is cut off")
+    add("--temperature", type=above_0, default=1.0, help="of sampling; evaluations are greedy")
+    add("--max-tokens", type=at_least_1, default=512, help="longest response")
+    add("--max-context", type=at_least_1, default=8192, help="longest conversation; one that overflows is cut off")
     add("--template", type=json.loads, default={}, help="""for the chat template: '{"enable_thinking": false}'""")
     add("--skip-cut-off", action="store_true", help="do not learn from responses that were cut off by length")
     add("--eval-env", nargs="+", help="ids of environments to evaluate on, by default those of --env")
-    add("--every", type=int, default=10, help="updates from one greedy evaluation, and checkpoint, to the next")
-    add("--eval-episodes", type=int, default=32, help="for each environment; of a data set, the first rows")
+    add("--every", type=at_least_1, default=10, help="updates from one greedy evaluation, and checkpoint, to the next")
+    add("--eval-episodes", type=at_least_1, default=32, help="for each environment; of a data set, the first rows")
     add("--tensorboard", action="store_true", help="write for TensorBoard as well, into the folder of the run")
     add("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
@@ -104,12 +118,20 @@ def read_options(arguments=None):
     if not (options.model or options.tiny):
         parser.error("choose a --model, or --tiny")
     if options.tiny:
-        options.model = str(make_tiny_model(options.out / "tiny-model", options.seed))
+        options.model = str(options.out / "tiny-model")
     options.lr = options.lr or (1e-4 if options.lora_rank else 1e-6)
+    return options
+
+
+def begin_run(options):
+    """Make the folder of a new run, with its options, and the tiny model if that is trained."""
+    if (options.out / "options.json").exists():
+        return
+    if options.tiny:
+        make_tiny_model(options.model, options.seed)
     options.out.mkdir(parents=True, exist_ok=True)
     saved = {name: value for name, value in vars(options).items() if name not in ("out", "resume")}
     (options.out / "options.json").write_text(json.dumps(saved, indent=1), encoding="utf-8")
-    return options
 
 
 # The model.
@@ -315,12 +337,14 @@ def summary(episodes):
     if not counted:
         raise SystemExit(f"every episode ended in an error, the first in {episodes[0].error}")
     actions = [transition.action for episode in counted for transition in episode.transitions]
+    if not actions:
+        raise SystemExit("no episode has a response: their first prompts leave no room in --max-context")
     known = [episode.success for episode in counted if episode.success is not None]
     return ({"success": float(np.mean(known))} if known else {}) | {
         "return": float(np.mean([episode.episode_return for episode in counted])),
         "turns": len(actions) / len(counted),
-        "response_tokens": sum(len(action.token_ids) for action in actions) / max(len(actions), 1),
-        "cut_off": sum(action.cut_off for action in actions) / max(len(actions), 1),
+        "response_tokens": sum(len(action.token_ids) for action in actions) / len(actions),
+        "cut_off": sum(action.cut_off for action in actions) / len(actions),
         "errors": len(episodes) - len(counted),
     }
 
@@ -384,6 +408,18 @@ def load_optimizer(options, checkpoint, model):
 
 async def train(options):
     """Evaluate, play, learn and save, with one line in ``metrics.jsonl`` for each update."""
+    with ExitStack() as at_end:
+        # First, so that a wrong name is told at once, and leaves nothing behind.
+        vector = at_end.enter_context(gem.make_vec(options.env, options.num_envs, wrappers=options.wrappers))
+        eval_env = options.eval_env or options.env
+        eval_vector = at_end.enter_context(gem.make_vec(eval_env, options.num_envs, wrappers=options.wrappers))
+        begin_run(options)
+        await train_in(vector, eval_vector, options)
+    print(f"The curves are in {plot_run(options.out)}")
+
+
+async def train_in(vector, eval_vector, options):
+    """Train in one vector environment, and evaluate in another."""
     checkpoint = max(options.out.glob("checkpoint-*"), default=None)
     begin = int(checkpoint.name.removeprefix("checkpoint-")) if checkpoint else 0
     model, tokenizer = load_model(options, checkpoint)
@@ -393,15 +429,9 @@ async def train(options):
     settings["chat_template_kwargs"] = options.template
     agent = Policy(engine, tokenizer, **settings, sampling={"temperature": options.temperature})
     greedy = Policy(engine, tokenizer, **settings, sampling={"temperature": 0.0})
-    with ExitStack() as at_end:
-        log = MetricsLog(options.out, tensorboard=options.tensorboard)
-        at_end.callback(log.close)
+    with closing(MetricsLog(options.out, tensorboard=options.tensorboard)) as log:
         log.truncate_after(begin - 1)
-        vector = gem.make_vec(options.env, options.num_envs, wrappers=options.wrappers)
-        at_end.callback(vector.close)
         plan = [PlanItem(options.env[place % len(options.env)]) for place in range(options.episodes)]
-        eval_vector = gem.make_vec(options.eval_env or options.env, options.num_envs, wrappers=options.wrappers)
-        at_end.callback(eval_vector.close)
         eval_plan = default_plan(eval_vector, options.eval_episodes)
 
         for update in range(begin, options.updates + 1):
@@ -423,7 +453,6 @@ async def train(options):
             print(update, *(f"{name} {metrics[name]:.3g}" for name in SHOWN if name in metrics), sep="  ", flush=True)
             if not last and ((update + 1) % options.every == 0 or update + 1 == options.updates):
                 save_checkpoint(options, update + 1, model, tokenizer, optimizer)
-    print(f"The curves are in {plot_run(options.out)}")
 
 
 # A toy task and a tiny model, to try it all without a download.

@@ -76,15 +76,29 @@ def test_a_resumed_run_is_that_which_was_never_stopped(tmp_path: Path):
 
 
 def test_a_folder_with_another_run_is_refused(tmp_path: Path):
-    """The message names what differs; before the first checkpoint there is nothing to keep."""
+    """The message names what differs, one difference as one; before the first checkpoint there is nothing to keep."""
     run = RunFolder(tmp_path)
     run.begin(tiny(gamma=0.5))
     run.begin(tiny(gamma=0.9))
     run.save({})
     with pytest.raises(ArgumentError, match=r"other options: gamma is 0.9 there, not 0.8; seed is 0 there, not 3\. Go"):
         run.begin(tiny(gamma=0.8, seed=3))
+    with pytest.raises(ArgumentError, match=r"other options: seed is 0 there, not 3\. Go"):
+        run.begin(tiny(gamma=0.8, width=32, updates=9, seed=3), named=["seed", "layers"])
+    with pytest.raises(ArgumentError, match=r"other options: algorithm is 'rebn' there, not 'ppo'\. Go"):
+        run.begin(tiny(algorithm="ppo"))
     with pytest.raises(ArgumentError, match="must be names and plain values"):
         run.begin(tiny(wrappers=(len,)))
+
+
+def test_a_context_that_drops_the_rules_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    """Once, with the length of the task and what the context leaves for it."""
+    train(tiny(context=64, updates=1), tmp_path / "whole")
+    assert not caplog.records
+    train(tiny(context=6, updates=2), tmp_path / "cut")
+    (record,) = caplog.records
+    assert record.args is not None
+    assert record.args[1:] == (6, 3)
 
 
 def test_gem_train_from_the_first_update_to_the_curves(gem_train: Any, capsys: pytest.CaptureFixture[str]):
@@ -98,8 +112,10 @@ def test_gem_train_from_the_first_update_to_the_curves(gem_train: Any, capsys: p
     run = Path("run")
     assert (run / "curves.png").read_bytes().startswith(b"\x89PNG")
     assert json.loads((run / "options.json").read_text())["imitate"] == "random"
+    (run / "tensorboard").mkdir()
     again = gem_train("--resume", "run")
     assert again.code == 0
+    assert list((run / "tensorboard").iterdir())  # it goes on as it began
     assert "let it play: gem run arms:One-v0 --agent train:run" in again.out
     assert len(read_metrics(run)) == 2
     with pytest.raises(SystemExit) as caught:

@@ -118,6 +118,7 @@ def test_a_resumed_run_is_the_run_that_was_not_interrupted(
 def trainer(example: Any, tmp_path: Path) -> Any:
     """Options, model and engine of a tiny model that was not trained."""
     options = example.read_options([*TINY, *FEW_TOKENS, "--out", str(tmp_path / "run")])
+    example.begin_run(options)
     model, tokenizer = example.load_model(options, None)
     return options, model, tokenizer, example.TransformersEngine(options, model, tokenizer)
 
@@ -211,10 +212,32 @@ def test_a_second_run_in_the_folder_of_a_first_is_refused(
     example: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It would overwrite the metrics."""
-    example.read_options(["--tiny", "--out", str(tmp_path)])
+    example.begin_run(example.read_options(["--tiny", "--out", str(tmp_path)]))
     with pytest.raises(SystemExit):
         example.read_options(["--tiny", "--out", str(tmp_path)])
     assert f"{tmp_path} holds a run: continue it by --resume {tmp_path}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("wrong", [["--temperature", "0"], ["--micro-batch", "0"], ["--lr", "nan"]])
+def test_numbers_that_train_nothing_are_refused(
+    example: Any, wrong: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        example.read_options(["--tiny", *wrong])
+    assert wrong[0] in capsys.readouterr().err
+
+
+def test_a_task_without_room_for_a_response_ends_the_run(example: Any, tmp_path: Path) -> None:
+    """It would train on nothing."""
+    with pytest.raises(SystemExit, match="--max-context"):
+        train(example, *TINY, *FEW_TOKENS, "--max-context", 10, "--out", tmp_path / "run")
+
+
+def test_a_wrong_environment_leaves_no_folder(example: Any, tmp_path: Path) -> None:
+    """Which would hold a run that cannot go on."""
+    with pytest.raises(gem.errors.UnknownEnvError):
+        train(example, *TINY, "--env", "example:Nothing-v0", "--out", tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.thorough

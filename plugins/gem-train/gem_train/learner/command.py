@@ -38,6 +38,7 @@ _DEFAULTS = {field.name: field.default for field in fields(TrainOptions)}
 _ABOVE_0 = click.FloatRange(min=0, min_open=True)
 _FROM_0 = click.FloatRange(min=0)
 _SHARE = click.FloatRange(min=0, max=1)
+_FIELDS = {"ids": "env", "arguments": "env_kwargs", "tools": "wrappers", "skip_cut_off": "learn_cut_off"}
 _BESIDE_RESUME = ("resume", "imports", "tensorboard", "as_json")
 
 
@@ -165,6 +166,7 @@ def command(
             metrics = train(
                 options,
                 folder,
+                named=[_FIELDS.get(name, name) for name in ctx.params if _is_given(ctx, name)],
                 tensorboard=tensorboard,
                 on_imitation=lambda step, loss: progress.advance(step + 1, f"imitation, loss {loss:.3f}"),
                 on_update=lambda update, metrics: progress.advance(steps + update, _line(metrics)),
@@ -182,10 +184,14 @@ def command(
     _tell_errors(ctx, folder)
 
 
+def _is_given(ctx: click.Context, name: str) -> bool:
+    return ctx.get_parameter_source(name) == ParameterSource.COMMANDLINE
+
+
 def _refuse_beside_resume(ctx: click.Context) -> None:
     for parameter in ctx.command.params:
         name = str(parameter.name)
-        if ctx.get_parameter_source(name) == ParameterSource.COMMANDLINE and name not in _BESIDE_RESUME:
+        if _is_given(ctx, name) and name not in _BESIDE_RESUME:
             what = parameter.opts[-1] if isinstance(parameter, click.Option) else "the ids"
             raise ArgumentError(f"--resume goes on with the options of the run; leave out {what}")
 

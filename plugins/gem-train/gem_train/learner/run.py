@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,14 @@ from gem_train.learner.options import TrainOptions
 from gem_train.learner.training import Training, describe, warm_start
 from gem_train.reporting import MetricsLog, plot_run, read_metrics
 
+_logger = logging.getLogger(__name__)
+
 
 def train(
     options: TrainOptions,
     folder: str | Path,
     *,
+    named: Collection[str] = (),
     tensorboard: bool = False,
     on_imitation: Callable[[int, float], None] = lambda step, loss: None,
     on_update: Callable[[int, dict[str, float]], None] = lambda update, metrics: None,
@@ -36,7 +40,8 @@ def train(
     Args:
         options: Of the run.
         folder: ``options.json``, ``metrics.jsonl``, ``checkpoint.pt``, ``curves.png``.
-        tensorboard: Whether to write for TensorBoard as well.
+        named: Options that were given; see ``RunFolder.begin``.
+        tensorboard: Whether to write for TensorBoard as well; a run that did so goes on to.
         on_imitation: Called with the number of each step of imitation, from 0, and its loss.
         on_update: Called with the number of each update, from 1, and its metrics.
 
@@ -47,9 +52,10 @@ def train(
         ArgumentError: The folder holds a run with other options.
     """
     run = RunFolder(folder)
-    run.begin(options)
+    run.begin(options, named)
     if options.threads:
         torch.set_num_threads(options.threads)
+    tensorboard = tensorboard or (run.path / "tensorboard").exists()  # a run goes on as it began
     with closing(MetricsLog(folder, tensorboard)) as log:
         learner = run.load()
         if learner is None:
@@ -78,7 +84,16 @@ def train(
 def _update(training: Training) -> dict[str, float]:
     """Make an update and what is due after it, and return all metrics."""
     options, started = training.options, time.perf_counter()
-    metrics = training.update().metrics
+    metrics, played = training.update()
+    prompts = [len(turn.shown_ids) for seat in played for turn in seat.turns[:1]]
+    if training.learner.updates == 1 and (longest := max(prompts, default=0)) > options.context - options.max_tokens:
+        _logger.warning(
+            "the beginning of a task is dropped, its rules perhaps: it has up to %d tokens, and --context %d leaves %d "
+            "before a response",
+            longest,
+            options.context,
+            options.context - options.max_tokens,
+        )
     metrics["seconds"] = time.perf_counter() - started
     if _is_due(training.learner.updates, options.eval_every, options):
         ids = options.eval_envs or tuple(dict.fromkeys(options.env))
@@ -114,8 +129,12 @@ class RunFolder:
             raise ArgumentError(f"{self.path} holds no run: it has no options.json")
         return TrainOptions.from_dict(json.loads(self._options.read_text(encoding="utf-8")))
 
-    def begin(self, options: TrainOptions) -> None:
+    def begin(self, options: TrainOptions, named: Collection[str] = ()) -> None:
         """Keep the options; where there is a checkpoint, check that it has the same.
+
+        Args:
+            options: Of the run.
+            named: Those that were given; if one of them differs, the defaults of the others are not told.
 
         Raises:
             ArgumentError: Some are others, or cannot be kept as JSON.
@@ -126,12 +145,14 @@ class RunFolder:
             self._options.write_text(json.dumps(given, indent=1) + "\n", encoding="utf-8")
             return
         there = self.options().to_dict()
-        others = [
-            f"{name} is {there[name]!r} there, not {value!r}" for name, value in given.items() if there[name] != value
-        ]
+        others = [name for name, value in given.items() if there[name] != value]
+        if "algorithm" in others:  # these follow it
+            others = [name for name in others if name not in ("group_size", "epochs", "minibatches")]
         if others:
+            others = [name for name in others if name in named] or others
+            told = "; ".join(f"{name} is {there[name]!r} there, not {given[name]!r}" for name in others)
             raise ArgumentError(
-                f"{self.path} holds a run with other options: {'; '.join(others)}. Go on with it by "
+                f"{self.path} holds a run with other options: {told}. Go on with it by "
                 f"'gem train --resume {self.path}', or name another folder"
             )
 
