@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from gem_train.learner.playing import Played
     from gem_train.learner.training import Training
 
-Run = Callable[..., dict[str, Any]]
-"""One run of a study: a function of a module, since other processes import it; its result is plain JSON."""
-
 
 def study_options(name: str, *, seeds: int = 5) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return what adds options to the command of a study, which is called with ``quick, seeds, workers, folder``.
@@ -57,7 +54,11 @@ def study_options(name: str, *, seeds: int = 5) -> Callable[[Callable[..., Any]]
 
 
 def run_all(
-    run: Run, settings: Sequence[Mapping[str, Any]], folder: Path, *, workers: int | None = None
+    run: Callable[..., dict[str, Any]],
+    settings: Sequence[Mapping[str, Any]],
+    folder: Path,
+    *,
+    workers: int | None = None,
 ) -> list[dict[str, Any]]:
     """Call ``run(**setting)`` for each setting, a few at once, and return each setting with its result.
 
@@ -65,7 +66,7 @@ def run_all(
     that file when the study has changed.
 
     Args:
-        run: See ``Run``.
+        run: A function of a module, since other processes import it; its result is plain JSON.
         settings: Its keyword arguments, plain JSON.
         folder: Made if it is missing.
         workers: Processes, of one thread each; None for one a processor.

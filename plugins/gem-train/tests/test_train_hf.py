@@ -224,7 +224,7 @@ def test_numbers_that_train_nothing_are_refused(
 ) -> None:
     with pytest.raises(SystemExit):
         example.read_options(["--tiny", *wrong])
-    assert wrong[0] in capsys.readouterr().err
+    assert f"argument {wrong[0]}" in capsys.readouterr().err
 
 
 def test_a_task_without_room_for_a_response_ends_the_run(example: Any, tmp_path: Path) -> None:

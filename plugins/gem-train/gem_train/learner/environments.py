@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from itertools import count
-from typing import Self
 
 import gem_core as gem
 from gem_core.env import stable_hash
@@ -31,16 +30,12 @@ class TrainingPlan:
         """Go to the first episode of an update."""
         self._update, self._places = update, count()
 
-    def __iter__(self) -> Self:
-        return self
-
-    def __next__(self) -> PlanItem:
+    def __iter__(self) -> Iterator[PlanItem]:
         options = self._options
-        group = next(self._places) // options.group_size
-        return PlanItem(
-            id=options.env[group % len(options.env)],
-            seed=stable_hash(options.seed, "training", self._update, group),
-        )
+        while True:
+            group = next(self._places) // options.group_size
+            seed = stable_hash(options.seed, "training", self._update, group)
+            yield PlanItem(id=options.env[group % len(options.env)], seed=seed)
 
 
 def training_envs(options: TrainOptions, plan: TrainingPlan) -> VectorEnv:
@@ -54,9 +49,7 @@ def evaluation_envs(options: TrainOptions, env_id: str) -> VectorEnv:
     return _vector(options, (env_id,), options.eval_episodes, items)
 
 
-def _vector(
-    options: TrainOptions, ids: tuple[str, ...], slots: int, plan: Iterator[PlanItem] | list[PlanItem]
-) -> VectorEnv:
+def _vector(options: TrainOptions, ids: tuple[str, ...], slots: int, plan: Iterable[PlanItem]) -> VectorEnv:
     return gem.make_vec(
         ids[0] if len(ids) == 1 else [ids[slot // options.group_size % len(ids)] for slot in range(slots)],
         slots,

@@ -121,9 +121,9 @@ class Learner:
         options, mask = self.options, rows.learnable[chunk, :width]
         old, advantages = rows.logprobs[chunk, :width], rows.advantages[chunk, :width]
         if options.algorithm in ("ppo", "grpo", "dr-grpo"):
-            low, high = options.clip, options.clip
+            clip = options.clip
             loss, seen = ppo_loss(
-                scored.logprobs, old, advantages, mask, clip_low=low, clip_high=high, denominator=tokens
+                scored.logprobs, old, advantages, mask, clip_low=clip, clip_high=clip, denominator=tokens
             )
         else:
             weights = truncated_importance_weights(scored.logprobs, old, mask) if options.off_policy else None

@@ -85,15 +85,11 @@ def _update(training: Training) -> dict[str, float]:
     """Make an update and what is due after it, and return all metrics."""
     options, started = training.options, time.perf_counter()
     metrics, played = training.update()
-    prompts = [len(turn.shown_ids) for seat in played for turn in seat.turns[:1]]
-    if training.learner.updates == 1 and (longest := max(prompts, default=0)) > options.context - options.max_tokens:
-        _logger.warning(
-            "the beginning of a task is dropped, its rules perhaps: it has up to %d tokens, and --context %d leaves %d "
-            "before a response",
-            longest,
-            options.context,
-            options.context - options.max_tokens,
-        )
+    longest = max((len(seat.turns[0].shown_ids) for seat in played if seat.turns), default=0)
+    room = options.context - options.max_tokens
+    if training.learner.updates == 1 and longest > room:
+        told = "a task of %d tokens loses its beginning, perhaps its rules: --context %d leaves %d"
+        _logger.warning(told, longest, options.context, room)
     metrics["seconds"] = time.perf_counter() - started
     if _is_due(training.learner.updates, options.eval_every, options):
         ids = options.eval_envs or tuple(dict.fromkeys(options.env))
