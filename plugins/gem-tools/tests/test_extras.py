@@ -9,7 +9,7 @@ import pytest
 
 START = """
 import sys
-sys.modules.update(dict.fromkeys(["aiohttp", "bm25s", "httpx2", "jsonschema", "mcp", "re2", "referencing", "tenacity"]))
+sys.modules.update(dict.fromkeys(["aiohttp", "bm25s", "httpx2", "mcp", "tenacity"]))
 from gem_core.__main__ import main
 from gem_core.data import DatasetEnv
 from gem_core.tools import ToolEnv

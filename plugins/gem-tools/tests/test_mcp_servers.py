@@ -62,7 +62,7 @@ def test_git(tmp_path):
     assert "new file:   file" in step(env, "git_status", repo_path=str(tmp_path))[0]
     subprocess.run([*git, "commit", "-q", "-m", "the first"], check=True)
     assert "the first" in step(env, "git_log", repo_path=str(tmp_path), max_count=1)[0]
-    assert step(env, "git_log")[0].startswith("The arguments are not valid. 'repo_path' is a required property")
+    assert step(env, "git_log")[1]["failed"]
     env.close()
 
 

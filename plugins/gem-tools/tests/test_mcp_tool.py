@@ -58,13 +58,9 @@ def test_tools_of_a_server_are_tools_of_the_environment():
     env.close()
 
 
-def test_wrong_arguments_do_not_reach_the_server(env):
-    assert step(env, "count")[0] == "1"
-    observation, info = step(env, "echo", txt=1)
-    assert "'text' is a required property" in observation
-    assert info["failed"]
+def test_arguments_that_cannot_be_sent_do_not_reach_the_server(env):
     assert step(env, "echo", text="\ud800")[1]["failed"]
-    assert step(env, "count")[0] == "2"
+    assert step(env, "count")[0] == "1"
 
 
 def test_the_tools_of_a_server_share_a_session_in_an_episode(env):
@@ -144,26 +140,12 @@ def test_a_code_of_a_server_says_nothing_of_the_connection(env):
     assert step(env, "count")[0] == "5"  # nothing was restarted
 
 
-def test_a_server_that_hangs_is_restarted_and_given_up_in_time(tmp_path):
-    """It answers no ping either; a third call in the episode does not wait for it."""
-    log = tmp_path / "calls"
-    env = around(bad("deaf", "log", env={"CALLS": str(log)}, call_timeout_s=0.5))
-    for _ in range(2):
-        assert step(env, "count")[0].endswith("1")
-        assert step(env, "echo", text="x")[1]["fault"].startswith("hung: ")
-    observation, info = step(env, "echo", text="x")
-    assert "is not asked again" in observation
-    assert info["fault"].startswith("hung: ")
-    assert log.read_text().split() == ["count", "count"]
-    env.close()
-
-
-@pytest.mark.thorough
-def test_a_server_that_reads_nothing_any_more_is_restarted():
-    env = around(bad("deaf", call_timeout_s=3.0))
+def test_a_server_that_hangs_costs_each_call_its_limit():
+    env = around(bad("deaf", call_timeout_s=0.5))
     assert step(env, "count")[0] == "1"
-    assert step(env, "echo", text="x" * 1_000_000)[1]["fault"].startswith("hung: ")  # more than a pipe holds
-    assert step(env, "count")[0].endswith("what the server remembered may be lost.]\n1")
+    assert "did not answer within 0.5 s" in step(env, "echo", text="x" * 1_000_000)[0]  # more than a pipe holds
+    env.reset(seed=1)
+    assert step(env, "count")[0] == "1"
     env.close()
 
 
@@ -226,7 +208,7 @@ def test_odd_names_and_schemas_cost_only_what_is_odd():
     assert step(env, "echo", text=3)[0] == "3"
     assert step(env, "count", anything=1)[0] == "3"
     env.close()
-    assert len(make_mcp(**bad("endless-pages", max_tools_chars=None)[1])) == 1000
+    assert len(make_mcp(**bad("endless-pages")[1])) == 1000
 
 
 def test_two_servers_with_the_same_tools_are_told_apart():

@@ -70,7 +70,7 @@ def test_its_tools_are_called(library):
     observation, info = step(env, "lend", title="Emma")
     assert info["structured"] == {"title": "Emma", "until": "Friday"}
     assert '"until": "Friday"' in observation
-    assert step(env, "lend", title=1)[0].startswith("The arguments are not valid. ")
+    assert step(env, "lend", title=[1])[1]["failed"]
     env.close()
 
 

@@ -30,9 +30,6 @@ for _name in ("mcp", "client"):
     logging.getLogger(_name).addHandler(logging.NullHandler())
 
 _OBJECT: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[str, Any])
-_PING_S = (1.0, 5.0)
-"""A server that did not answer a request has as long for a ping, within these limits."""
-
 _CLOSE_S = 15.0
 """Longer than closing a transport may take; after that its task is cancelled."""
 
@@ -44,9 +41,8 @@ class ServerFault(GemError):
     """A server that gave no result.
 
     Args:
-        kind: ``"unreachable"`` (it did not receive the request), ``"timeout"`` (of this request; it answers others),
-            ``"hung"`` (it answers nothing), ``"died"`` (the connection is lost), ``"error"`` (a JSON-RPC error),
-            ``"too_long"`` (the answer) or ``"protocol"``.
+        kind: ``"unreachable"`` (it did not receive the request), ``"timeout"``, ``"died"`` (the connection is
+            lost), ``"error"`` (a JSON-RPC error), ``"too_long"`` (the answer) or ``"protocol"``.
         message: What happened.
     """
 
@@ -93,7 +89,7 @@ class Connection:
     async def request(self, method: str, params: Mapping[str, Any], timeout_s: float) -> dict[str, Any]:
         """Send a request and return its result, as the server wrote it; raise a ServerFault if there is none.
 
-        On a timeout the server is told that nobody waits any more; if it still answers a ping, the session goes on.
+        On a timeout the server is told that nobody waits any more, and the session goes on.
         """
         if not self.alive:
             raise await self._death()
@@ -102,7 +98,7 @@ class Connection:
             async with asyncio.timeout(timeout_s):
                 return await self._send(method, dict(params))
         except TimeoutError:
-            return await self._late(timeout_s)
+            raise ServerFault("timeout", f"it did not answer within {timeout_s:g} s") from None
         except MCPError as error:
             raise await self._fault(error) from None
         except (ValidationError, RuntimeError, ValueError) as error:
@@ -186,21 +182,6 @@ class Connection:
         """Tell whether an error is that messages have ended: all, or over HTTP those that would answer the request."""
         closed = error.code == CONNECTION_CLOSED and error.message == "Connection closed"
         return closed or (self.server.transport != STDIO and error.message.startswith("SSE stream "))
-
-    async def _late(self, timeout_s: float) -> dict[str, Any]:
-        """Tell a call that is slow from a server that hangs, by a ping; raise what is the case."""
-        late = f"it did not answer within {timeout_s:g} s"
-        limit_s = min(max(timeout_s, _PING_S[0]), _PING_S[1])
-        try:
-            async with asyncio.timeout(limit_s):
-                await self._dispatcher.send_raw_request("ping", None)
-        except MCPError as error:  # an answer, too, unless there will be none
-            if self._lost(error):
-                raise await self._fault(error) from None
-        except TimeoutError:
-            self.stop()
-            raise ServerFault("hung", f"{late}, nor a ping within {limit_s:g} s") from None
-        raise ServerFault("timeout", late)
 
     async def _fault(self, error: MCPError) -> ServerFault:
         message = self._shown(error.message) or "no reason given"

@@ -14,7 +14,6 @@ from gem_tools.mcp.text import cleaned, cut, shortened
 
 MAX_IMAGE_PIXELS = 40_000_000
 MAX_BLOCKS = 1000
-_PNG = b"\x89PNG\r\n\x1a\n"
 _FORMATS = ("PNG", "JPEG", "GIF", "WEBP", "BMP")
 """Those that are read; the decoders of rarer ones are where holes are found."""
 
@@ -78,31 +77,13 @@ def _image(data: object, mime: object) -> Any:
         raw = base64.b64decode(data if isinstance(data, str) else b"", validate=False)
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # Pillow warns of images that unpack to gigabytes
-            image = Image.open(io.BytesIO(_bare(raw)), formats=_FORMATS)
+            image = Image.open(io.BytesIO(raw), formats=_FORMATS)
             if image.width * image.height > MAX_IMAGE_PIXELS:
                 return _note(f"image of {image.width} by {image.height} pixels", mime, data)
             image.load()
     except Exception:  # noqa: BLE001 - decoders fail in all ways on hostile data
         return _note("image that cannot be read", mime, data)
     return image if image.mode in ("RGB", "RGBA", "L") else image.convert("RGBA")
-
-
-def _bare(raw: bytes) -> bytes:
-    """Return a PNG without colour profiles and notes; all else stays as it is.
-
-    Pillow refuses a whole image over the checksum of one of them, which other readers skip; the image that the
-    protocol's own test server sends has such a one.
-    """
-    if not raw.startswith(_PNG):
-        return raw
-    kept, start = [_PNG], len(_PNG)
-    while start + 12 <= len(raw):
-        end = start + 12 + int.from_bytes(raw[start : start + 4])
-        kind = raw[start + 4 : start + 8]
-        if kind[:1].isupper() or kind == b"tRNS":
-            kept.append(raw[start:end])
-        start = end
-    return b"".join(kept)
 
 
 def _observation(pieces: Sequence[Any], max_chars: int, max_images: int) -> Observation:

@@ -68,8 +68,6 @@ class Handle:
     def __init__(self, session: ServerSession, shared: bool) -> None:
         self.session, self.shared = session, shared
         self._seen: int | None = None
-        self.hangs = 0
-        """How often the server has hung in this episode."""
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Handle:
         raise StateNotSupported(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,20 +14,16 @@ from gem_core.tools import CALL_CLOSE, CALL_OPEN, Tool, ToolResult
 from gem_core.types import Concurrency
 from gem_tools.mcp.config import STDIO, Server, from_keywords, read_config
 from gem_tools.mcp.connection import ServerFault
-from gem_tools.mcp.describing import MORE, DescribeTool
 from gem_tools.mcp.listing import Offer, listings
-from gem_tools.mcp.names import chosen, legal, tool_names
+from gem_tools.mcp.names import chosen, tool_names
 from gem_tools.mcp.results import from_call
-from gem_tools.mcp.schemas import ArgumentChecker
 from gem_tools.mcp.sessions import Handle, ServerSession, shared_session
 from gem_tools.mcp.text import shortened
 
-MAX_HANGS = 2
-"""After so many a server is not asked again in the episode: each costs the whole limit of a call."""
-
 MAX_DESCRIPTION_CHARS = 2000
 MAX_SHOWN_SCHEMA_CHARS = 4000
-MAX_BRIEF_CHARS = 100
+MAX_ARGUMENT_BYTES = 5_000_000
+MAX_DEPTH = 60
 
 
 def make_mcp(
@@ -47,7 +42,6 @@ def make_mcp(
     sessions: str = "episode",
     connect_timeout_s: float = 30.0,
     call_timeout_s: float = 60.0,
-    max_tools_chars: int | None = 12_000,
     max_chars: int = 20_000,
     max_images: int = 4,
 ) -> list[Tool]:
@@ -72,8 +66,6 @@ def make_mcp(
             whole process.
         connect_timeout_s: For a server's start and first answer, and for the list of its tools, in seconds.
         call_timeout_s: For a call.
-        max_tools_chars: Most characters that an agent is told of the tools at first; where there is more to tell, some
-            have one line, and a further tool, ``describe`` or ``describe_SERVER``, tells the rest. None for no limit.
         max_chars: Most characters of a result that the agent is given.
         max_images: Most images of a result that the agent is given.
 
@@ -101,14 +93,11 @@ def make_mcp(
     ]
     names = tool_names([(server.name, offer.name) for server, offer in offered])
     kept = chosen(names, include, exclude)
-    tools = [
+    return [
         McpTool(name, server, offer, options)
         for name, (server, offer) in zip(names, offered, strict=True)
         if name in kept
     ]
-    # Several choices of one server each may stand beside each other around a task.
-    describe = "describe" if len(servers) > 1 else legal(f"describe_{servers[0].name}")
-    return _within(tools, max_tools_chars, describe, max_chars)
 
 
 class McpTool(Tool):
@@ -121,11 +110,8 @@ class McpTool(Tool):
         self.server = server
         description = shortened(offer.description, MAX_DESCRIPTION_CHARS) or f"A tool of {server.name}"
         self.description = description if description[-1] in ".!?…:)" else f"{description}."
-        self.brief = False
-        """Whether the agent is told one line of it at first."""
         self._offer = offer
         self._options = options
-        self._checker = ArgumentChecker(offer.schema)
         self._shared: ServerSession | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -142,52 +128,36 @@ class McpTool(Tool):
         return {"type": "object", "properties": {}, **copy.deepcopy(dict(self._offer.schema))}
 
     def validate(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the arguments, held to the server's schema."""
-        try:
-            return self._checker.check(arguments)
-        except ArgumentError as error:
-            if self.brief:  # the agent may have guessed
-                raise ArgumentError(f"{error}. Its {self._about_arguments()}") from None
-            raise
+        """Return the arguments, which the server holds to its schema.
 
-    def schema(self) -> dict[str, Any]:
-        """Return the tool as the OpenAI chat API describes functions."""
-        if not self.brief:
-            return super().schema()
-        parameters = {"type": "object", "properties": {}, "additionalProperties": True}
-        function = {"name": self.name, "description": self._brief_description(), "parameters": parameters}
-        return {"type": "function", "function": function}
+        Raises:
+            ArgumentError: They cannot be sent: too long, too deep, or not to be written as JSON.
+        """
+        if _is_deep(arguments, MAX_DEPTH):
+            raise ArgumentError(f"They are nested more than {MAX_DEPTH} deep.")
+        try:
+            length = len(json.dumps(dict(arguments), allow_nan=False, ensure_ascii=False).encode())
+        except (TypeError, ValueError) as error:  # also half of a character that takes two
+            raise ArgumentError(f"They cannot be written as JSON: {shortened(str(error))}.") from None
+        if length > MAX_ARGUMENT_BYTES:
+            raise ArgumentError(f"They are over {MAX_ARGUMENT_BYTES:,} bytes long.")
+        return dict(arguments)
 
     def instructions(self) -> str:
         """Return a line that tells an agent what the tool does, how to call it, and of what form its arguments are."""
-        if self.brief:
-            return f"- {self.name}: {self._brief_description()}"
         how = f'{CALL_OPEN}{{"name": "{self.name}", "arguments": {{…}}}}{CALL_CLOSE}'
         if self.text_parameter is not None:
             how = f"<{self.name}>{self.text_parameter}</{self.name}>"
-        return self._line(f"Call it with {how}; its")
-
-    def described(self) -> str:
-        """Return what an agent that was told one line of the tool is told when it asks."""
-        return self._line("Its")
+        # Without what says nothing to an agent.
+        told = {key: value for key, value in self.parameters_schema().items() if key not in ("$schema", "title", "$id")}
+        schema = json.dumps(told, ensure_ascii=False)
+        line = f"- {self.name}: {self.description} Call it with {how}; its arguments, as a JSON Schema: {schema}"
+        # Also what counts as a line break to some.
+        return shortened(line, MAX_DESCRIPTION_CHARS + MAX_SHOWN_SCHEMA_CHARS)
 
     def hints(self) -> str:
         """Return nothing: all that ``instructions`` tell is in the schema."""
         return ""
-
-    def _line(self, how: str) -> str:
-        line = f"- {self.name}: {self.description} {how} {self._about_arguments()}"
-        # Also what counts as a line break to some.
-        return shortened(line, MAX_DESCRIPTION_CHARS + MAX_SHOWN_SCHEMA_CHARS)
-
-    def _about_arguments(self) -> str:
-        # Without what says nothing to an agent.
-        told = {key: value for key, value in self.parameters_schema().items() if key not in ("$schema", "title", "$id")}
-        return f"arguments, as a JSON Schema: {json.dumps(told, ensure_ascii=False)}"
-
-    def _brief_description(self) -> str:
-        first = re.split(r"(?<=[.!?:]) ", self.description, maxsplit=1)[0]
-        return f"{shortened(first, MAX_BRIEF_CHARS)} {MORE}"
 
     async def open(self) -> Handle:
         """Return this episode's session; it connects at the first call."""
@@ -204,16 +174,12 @@ class McpTool(Tool):
         """Ask the server; what it answers, or why it does not, is for the agent."""
         name = self.server.name
         info: dict[str, Any] = {"server": name}
-        if session.hangs >= MAX_HANGS:
-            message = f"The server {name} has hung {MAX_HANGS} times in this episode, and is not asked again."
-            return ToolResult(message, failed=True, info={**info, "fault": f"hung: {message}"})
         try:
             params = {"name": self._offer.name, "arguments": arguments}
             result = await session.session.request("tools/call", params)
         except ServerFault as fault:
             session.restarted()
-            session.hangs += fault.kind == "hung"
-            if fault.kind in ("protocol", "unreachable", "died", "hung"):
+            if fault.kind in ("protocol", "unreachable", "died"):
                 info["fault"] = f"{fault.kind}: {fault}"  # for trainers: a machine failed, not the agent
             return ToolResult(_explained(fault, self.server), failed=True, info=info)
         except GemError as error:
@@ -235,22 +201,9 @@ class McpTool(Tool):
         return ToolResult(content, failed=failed, info=info)
 
 
-def _within(tools: list[McpTool], max_tools_chars: int | None, describe: str, max_chars: int) -> list[Tool]:
-    """Return the tools; where there is too much to tell of them, the first that fit are told of at length."""
-    lengths = [len(tool.instructions()) for tool in tools]
-    if max_tools_chars is None or sum(lengths) <= max_tools_chars:
-        return list(tools)
-    for tool in tools:
-        tool.brief = True
-    left = max_tools_chars - sum(len(tool.instructions()) for tool in tools)
-    for tool, length in zip(tools, lengths, strict=True):
-        more = length - len(tool.instructions())
-        if more <= left:
-            tool.brief, left = False, left - more
-    while any(tool.name == describe for tool in tools):
-        describe += "_"
-    described = {tool.name: tool.described for tool in tools}
-    return [*tools, DescribeTool(describe, described, max_chars)]
+def _is_deep(value: object, left: int) -> bool:
+    parts = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
+    return left < 0 or any(_is_deep(part, left - 1) for part in parts)
 
 
 def _explained(fault: ServerFault, server: Server) -> str:
@@ -265,8 +218,6 @@ def _explained(fault: ServerFault, server: Server) -> str:
         "unreachable": f"The server {name} cannot be reached: {fault}. {no_fault}",
         "timeout": f"The server {name} was too slow: {fault}. The call was given up; it may have had its effect all "
         "the same.",
-        "hung": f"The server {name} hangs: {fault}. Whether the call had its effect is not known. At the next call "
-        f"{then}; what the server remembered may be lost.",
         "died": f"The {lost} {name} was lost during the call: {fault}. Whether the call had its effect is not known. "
         f"At the next call {then}; what the server remembered may be lost.",
     }[fault.kind]
