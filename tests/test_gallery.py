@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -76,27 +75,6 @@ def test_pictures_are_small_and_well_formed(rendered: dict[str, str]) -> None:
         ElementTree.fromstring(text)
         assert not re.search(r"<script|href=\"http|url\(", text), path
     assert sum(len(text.encode()) for text in rendered.values()) <= 3_000_000
-
-
-def test_last_frame_stands_where_nothing_moves(gallery: ModuleType) -> None:
-    """Readers who want no motion, and programs that know no animation, see how the episode ended."""
-
-    def frames(board: str) -> list[Any]:
-        return [drawing().Frame(board.format(turn), f"turn {turn}", f"answer {turn}", 0.5) for turn in range(3)]
-
-    assert seen_without_motion(drawing().card("a:B", "random", frames("board {}"))) == {"board 2", "turn 2", "answer 2"}
-    assert len(seen_without_motion(drawing().card("a:B", "random", frames("")))) == 6
-
-
-def seen_without_motion(picture: str) -> set[str]:
-    """What a picture shows of its frames where nothing moves; each group that is seen at times moves elsewhere."""
-    still, _, moving = picture.partition("@media(prefers-reduced-motion:no-preference)")
-    (hidden,) = re.findall(r"((?:\.f\d+,?)+)\{visibility:hidden\}", still)
-    groups = dict(re.findall(r'<g class="(f\d+)">(.*?)</g>', picture))
-    assert moving.count("@keyframes") == len(groups)
-    for name in hidden.replace(".", "").split(","):
-        picture = picture.replace(groups[name], "")
-    return set(re.findall(r">((?:board|turn|answer) \d)<", picture))
 
 
 def test_text_of_an_episode_cannot_break_a_page_or_a_picture(gallery: ModuleType) -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
-from gem_core.errors import ArgumentError, EntryPointError, UnknownAgentError
+from gem_core.errors import ArgumentError, UnknownAgentError
 from gem_core.rollouts import Context, load_agent
 
 CONTEXT = Context("0.0", "toy:Echo-v0", None, 0, {}, [], [])
@@ -65,20 +64,3 @@ def test_an_option_that_is_not_taken_is_refused(module: str, name: str, accepted
     """With what would be."""
     with pytest.raises(ArgumentError, match=rf"{name}.*{accepted}"):
         load_agent(name, tempo=1)
-
-
-def test_the_current_folder_is_searched_only_while_an_agent_is_loaded(module: str) -> None:
-    """Whether it can be loaded or not; a class that imports what stands beside it when it is made finds it."""
-    Path("beside_it.py").write_text("ANSWER = 'b'", encoding="utf-8")
-    Path("late_agent.py").write_text(
-        "class Late:\n    def __init__(self):\n        import beside_it\n        self.answer = beside_it.ANSWER\n"
-        "    def __call__(self, observation):\n        return self.answer\n",
-        encoding="utf-8",
-    )
-    Path("broken_agent.py").write_text("import nothing_of_this_name", encoding="utf-8")
-    before = list(sys.path)
-    assert load_agent("late_agent:Late")("x", CONTEXT) == "b"
-    for name, kind in (("broken_agent:a", EntryPointError), (f"{module}:missing", UnknownAgentError)):
-        with pytest.raises(kind):
-            load_agent(name)
-    assert sys.path == before

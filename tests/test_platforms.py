@@ -29,14 +29,6 @@ def test_what_needs_posix_refuses_windows(module: str, what: str, monkeypatch: p
     assert str(caught.value) == f"{what} cannot run on Windows: it needs Linux or macOS; use WSL"
 
 
-def test_terminal_tasks_refuse_windows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """When the environment is asked for; the plugin itself is imported to be listed."""
-    gem_terminal = pytest.importorskip("gem_terminal")
-    monkeypatch.setattr(sys, "platform", "win32")
-    with pytest.raises(MissingRequirementError, match=r"^a terminal task cannot run on Windows"):
-        _ = gem_terminal.TerminalEnv
-
-
 def test_the_core_needs_no_module_of_posix() -> None:
     """Listing, and an environment in place, import none that Windows lacks."""
     code = """

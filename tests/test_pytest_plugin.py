@@ -45,66 +45,26 @@ def folder(pytester: pytest.Pytester, request: pytest.FixtureRequest) -> pytest.
 
 
 def test_each_match_is_an_item_that_runs_check_env(folder: pytest.Pytester) -> None:
-    """By a glob; without any file of tests."""
-    result = folder.runpytest_subprocess("--gem-envs", "fit:*", "-v")
-    result.assert_outcomes(passed=2)
-    result.stdout.fnmatch_lines(["*gem-envs::fit:Good-v0 PASSED*", "*gem-envs::fit:Other-v0 PASSED*"])
-
-
-def test_failure_is_the_broken_promises_without_a_traceback(folder: pytest.Pytester) -> None:
-    """What check_env says, and no more."""
-    result = folder.runpytest_subprocess("--gem-envs", "ill:Bad-v0")
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["collected 1 item", "ill:Bad-v0 breaks * promises:", "  episode: *To mend it: *"])
-    result.stdout.no_fnmatch_line("*Traceback*")
-    result.stdout.no_fnmatch_line("*pytest_plugin.py*")
-
-
-@pytest.mark.thorough
-def test_items_are_selected_by_id_and_by_marker(folder: pytest.Pytester) -> None:
-    """By -k, and by -m beside tests of other kinds."""
-    folder.makepyfile("def test_other(): pass")
-    folder.runpytest_subprocess("--gem-envs", "fit", "-k", "Other-v0").assert_outcomes(passed=1, deselected=2)
-    folder.runpytest_subprocess("--gem-envs", "fit", "-m", "gem_envs").assert_outcomes(passed=2, deselected=1)
-
-
-def test_unknown_pattern_is_a_usage_error_with_the_nearest(folder: pytest.Pytester) -> None:
-    """Exit code 4, one line."""
-    result = folder.runpytest_subprocess("--gem-envs", "fit:Goood-v0")
-    assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(
-        ["ERROR: --gem-envs: no environment matches 'fit:Goood-v0'. Did you mean 'fit:Good-v0'*"]
-    )
-
-
-@pytest.mark.thorough
-def test_unmet_requirement_is_a_skip_with_its_reason(folder: pytest.Pytester) -> None:
-    """A machine without the key has not broken anything."""
-    result = folder.runpytest_subprocess("--gem-envs", "far:*", "-rs")
-    result.assert_outcomes(skipped=1)
-    result.stdout.fnmatch_lines(
-        ["*far:Away-v0 cannot run here: it needs a key: set the environment variable GEMT_NOT_SET*"]
-    )
-
-
-@pytest.mark.thorough
-def test_patterns_may_stand_in_the_configuration(folder: pytest.Pytester) -> None:
-    """The command line stands in for them where it gives its own."""
-    folder.makeini("[pytest]\ngem_envs =\n    fit:Good-v0\n    far:*\n")
-    folder.runpytest_subprocess().assert_outcomes(passed=1, skipped=1)
-    folder.runpytest_subprocess("--gem-envs", "fit:Other-v0").assert_outcomes(passed=1)
-
-
-@pytest.mark.thorough
-def test_promise_is_skipped_with_a_reason(folder: pytest.Pytester) -> None:
-    """By its slug; a slug that does not exist fails each item with the nearest."""
-    skip = "hostile-actions=tried elsewhere"
-    result = folder.runpytest_subprocess("--gem-envs", "fit:Good-v0", "--gem-skip", skip, "-rP")
-    result.assert_outcomes(passed=1)
+    """A broken promise, or an id that there is not, fails without a traceback; what cannot run here is skipped."""
+    skip = "--gem-skip", "hostile-actions=tried elsewhere"
+    patterns = "fit:*", "ill:Bad-v0", "far:*", "fit:Goood-v0"
+    result = folder.runpytest_subprocess(*(f"--gem-envs={each}" for each in patterns), *skip, "-v", "-rs", "-rP")
+    result.assert_outcomes(passed=2, failed=2, skipped=1)
+    result.stdout.fnmatch_lines(["*gem-envs::fit:Good-v0 PASSED*", "*gem-envs::far:Away-v0 SKIPPED*"])
+    result.stdout.fnmatch_lines(["ill:Bad-v0 breaks * promises:", "  episode: *To mend it: *"])
+    result.stdout.fnmatch_lines(["no environment 'fit:Goood-v0'. Did you mean 'fit:Good-v0'*"])
     result.stdout.fnmatch_lines(["*not tried, hostile-actions: tried elsewhere"])
-    result = folder.runpytest_subprocess("--gem-envs", "fit:Good-v0", "--gem-skip", "hostile-action=x")
-    result.stdout.fnmatch_lines(["no promise 'hostile-action'. Did you mean 'hostile-actions'?*"])
-    result.assert_outcomes(failed=1)
+    result.stdout.no_fnmatch_line("*Traceback*")
+
+
+@pytest.mark.thorough
+def test_it_works_with_xdist_and_selections(folder: pytest.Pytester) -> None:
+    """Every worker collects the same items; by -k, and by -m beside tests of other kinds."""
+    pytest.importorskip("xdist")
+    folder.makepyfile("def test_other(): pass")
+    selection = "--gem-envs", "fit", "-n", "2"
+    folder.runpytest_subprocess(*selection, "-k", "Other-v0").assert_outcomes(passed=1)
+    folder.runpytest_subprocess(*selection, "-m", "gem_envs").assert_outcomes(passed=2)
 
 
 def test_skip_without_a_reason_is_a_usage_error(folder: pytest.Pytester) -> None:
@@ -112,18 +72,6 @@ def test_skip_without_a_reason_is_a_usage_error(folder: pytest.Pytester) -> None
     result = folder.runpytest_subprocess("--gem-envs", "fit", "--gem-skip", "hostile-actions")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["ERROR: --gem-skip takes SLUG=REASON, not 'hostile-actions'"])
-
-
-@pytest.mark.thorough
-def test_it_works_with_xdist(folder: pytest.Pytester) -> None:
-    """Every worker collects the same items; an unknown pattern is a failure that says so."""
-    pytest.importorskip("xdist")
-    folder.runpytest_subprocess("--gem-envs", "fit:*", "--gem-envs", "far:*", "-n", "2").assert_outcomes(
-        passed=2, skipped=1
-    )
-    result = folder.runpytest_subprocess("--gem-envs", "fti:*", "-n", "2")
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["--gem-envs: no environment matches 'fti:*"])
 
 
 def test_it_costs_nothing_while_it_is_not_used(folder: pytest.Pytester) -> None:

@@ -46,25 +46,11 @@ def test_needs_are_read_from_the_block(trainers: ModuleType) -> None:
         trainers.needs_of('"""No block."""\n')
 
 
-def test_our_distributions_come_from_here(trainers: ModuleType) -> None:
-    """Editable, with those that they need and the extras that were asked for."""
-    found = trainers.editable(["gem-code", "gem_train[torch]"])
-    assert found[::2] == ["-e"] * (len(found) // 2)
-    folders = {Path(path).name for path in found[1::2]}
-    assert {f"{ROOT.name}[datasets]", "gem-code", "gem-tools", "gem-train[torch]"} == folders
-
-
 @pytest.mark.parametrize(("program", "told"), [("", "passed"), ("raise SystemExit(3)", "failed, exit code 3")])
 def test_result_of_a_run(trainers: ModuleType, tmp_path: Path, program: str, told: str) -> None:
     """A file passes if it exits with 0."""
     (tmp_path / "file.py").write_text(program, encoding="utf-8")
     assert trainers.run_file(Path(sys.executable), tmp_path / "file.py", 60.0) == told
-
-
-def test_run_that_hangs_is_ended_with_what_it_started(trainers: ModuleType, tmp_path: Path) -> None:
-    """The table says so."""
-    (tmp_path / "file.py").write_text("import signal\nsignal.pause()\n", encoding="utf-8")
-    assert trainers.run_file(Path(sys.executable), tmp_path / "file.py", 0.1) == "stopped after 0.1 s"
 
 
 TRAINERS = sorted(path.stem for path in (ROOT / "examples" / "trainers").glob("*.py"))

@@ -33,23 +33,16 @@ def test_all_are_strings_that_json_keeps() -> None:
     "is_one",
     [
         pytest.param(lambda text: text == "", id="empty"),
-        pytest.param(lambda text: text and not text.strip(), id="blank"),
         pytest.param(lambda text: len(text) >= 5_000_000, id="5 MB"),
         pytest.param(lambda text: any("\ud800" <= c <= "\udfff" for c in text), id="lone surrogate"),
         pytest.param(lambda text: "\x00" in text, id="NUL byte"),
-        pytest.param(lambda text: "\x1b" in text, id="escape sequence"),
         pytest.param(lambda text: text.count("\\boxed{") > 1000 and "}" not in text, id="unclosed boxes"),
-        pytest.param(lambda text: "{{{{" in text and "}}}}" in text, id="nested braces"),
         pytest.param(lambda text: "٣" in text, id="Arabic-Indic digits"),
-        pytest.param(lambda text: "\\boxed{¹²}" in text, id="superscript digits"),
         pytest.param(lambda text: re.fullmatch("9{5000}", text), id="5,000 digits"),
-        pytest.param(lambda text: "1e999" in text, id="overflowing number"),
         pytest.param(lambda text: text.startswith("[" * 1000), id="deep JSON"),
         pytest.param(lambda text: "<tool_call>" in text and "no_such_tool" in text, id="tool call"),
         pytest.param(lambda text: text.count("<python>") > 1000, id="many opening tags"),
-        pytest.param(lambda text: "%s%s" in text, id="printf format"),
         pytest.param(lambda text: "__class__" in text, id="str.format"),
-        pytest.param(lambda text: "\u202e" in text, id="right-to-left override"),
     ],
 )
 def test_every_class_is_there(is_one: Callable[[str], object]) -> None:
