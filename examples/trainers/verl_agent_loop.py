@@ -17,20 +17,24 @@ server that writes known tokens instead of vLLM::
     python examples/trainers/verl_agent_loop.py  # where what it needs is installed
 
 On eight GPUs, in a folder with this file: write the rows, then train, here by REINFORCE with return batch normalization
-(ReBN)::
+(ReBN) and the settings of the paper::
 
-    python verl_agent_loop.py rows game:Mastermind-v0-easy  # train.parquet, val.parquet and gem.yaml
+    python verl_agent_loop.py rows game:GuessTheNumber-v0  # train.parquet, val.parquet and gem.yaml
 
     PYTHONPATH=. python -m verl.trainer.main_ppo algorithm.adv_estimator=gem_rebn algorithm.gamma=0.9 \
         data.train_files=train.parquet data.val_files=val.parquet data.train_batch_size=128 \
-        data.max_prompt_length=1024 data.max_response_length=8192 \
+        data.max_prompt_length=2048 data.max_response_length=10240 \
         actor_rollout_ref.model.path=Qwen/Qwen3-1.7B actor_rollout_ref.model.external_lib=verl_agent_loop \
-        actor_rollout_ref.actor.optim.lr=1e-6 actor_rollout_ref.actor.ppo_mini_batch_size=128 \
+        actor_rollout_ref.actor.optim.lr=1e-6 actor_rollout_ref.actor.optim.betas=[0.9,0.95] \
+        actor_rollout_ref.actor.optim.weight_decay=0.0 \
+        actor_rollout_ref.actor.ppo_mini_batch_size=128 actor_rollout_ref.actor.ppo_epochs=2 \
+        actor_rollout_ref.actor.loss_agg_mode=seq-mean-token-sum-norm \
         actor_rollout_ref.actor.use_dynamic_bsz=True actor_rollout_ref.actor.ppo_max_token_len_per_gpu=16384 \
         actor_rollout_ref.rollout.name=vllm actor_rollout_ref.rollout.tensor_model_parallel_size=1 \
-        actor_rollout_ref.rollout.gpu_memory_utilization=0.6 actor_rollout_ref.rollout.calculate_log_probs=True \
+        actor_rollout_ref.rollout.gpu_memory_utilization=0.5 actor_rollout_ref.rollout.calculate_log_probs=True \
         actor_rollout_ref.rollout.agent.agent_loop_config_path=gem.yaml \
-        trainer.n_gpus_per_node=8 trainer.nnodes=1 trainer.logger=[console] trainer.save_freq=50 trainer.test_freq=10
+        trainer.n_gpus_per_node=8 trainer.nnodes=1 trainer.total_training_steps=500 \
+        trainer.logger=[console] trainer.save_freq=50 trainer.test_freq=10
 
 Instead of ``algorithm.adv_estimator=gem_rebn algorithm.gamma=0.9``:
 
@@ -38,8 +42,8 @@ Instead of ``algorithm.adv_estimator=gem_rebn algorithm.gamma=0.9``:
 - GRPO: ``algorithm.adv_estimator=gem_grpo actor_rollout_ref.rollout.n=8``, with 16 for both batch sizes
 - PPO: ``algorithm.adv_estimator=gae algorithm.gamma=0.9 algorithm.lam=0.95 critic.model.path=Qwen/Qwen3-1.7B``
 
-For Qwen3-4B name it as the path; nothing else changes. Without thinking, for shorter turns:
-``+data.apply_chat_template_kwargs.enable_thinking=False``.
+A response may have 4,096 tokens (``gem.yaml``). For Qwen3-4B name it as the path; nothing else changes. Without
+thinking, for shorter turns: ``+data.apply_chat_template_kwargs.enable_thinking=False``.
 
 An episode that failed is played again; after ``attempts`` failures the error is raised, and verl's trainer goes on with
 the other episodes of the group. It never becomes a reward of 0. What verl cannot take: images, several agents, the
@@ -86,6 +90,7 @@ AGENT_LOOPS = """
 - name: gem
   _target_: verl_agent_loop.GemAgentLoop
   attempts: 3
+  max_turn_tokens: 4096
 """
 
 # The algorithms: by turns, for verl's tensors of tokens.
@@ -200,9 +205,9 @@ class GemAgentLoop(AgentLoopBase):
     All samples of a row (``rollout.n``) have its seed, so that a group shares one start.
     """
 
-    def __init__(self, *args: Any, attempts: int = 3, **kwargs: Any) -> None:
+    def __init__(self, *args: Any, attempts: int = 3, max_turn_tokens: int = 4096, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.attempts = attempts
+        self.attempts, self.max_turn_tokens = attempts, max_turn_tokens
 
     async def run(self, sampling_params: dict[str, Any], **row: Any) -> AgentLoopOutput:
         """Play an episode, and return it as one sequence."""
@@ -223,7 +228,7 @@ class GemAgentLoop(AgentLoopBase):
                 if len(prompt_ids) > self.rollout_config.prompt_length:
                     raise ArgumentError(f"the task has {len(prompt_ids)} tokens; raise data.max_prompt_length")
                 most = len(prompt_ids) + self.rollout_config.response_length
-            room = most - len(prompt_ids)
+            room = min(most - len(prompt_ids), self.max_turn_tokens)
             if room < 1:
                 raise ContextOverflowError(
                     f"data.max_response_length of {self.rollout_config.response_length} is used up"
@@ -276,20 +281,34 @@ class GemAgentLoop(AgentLoopBase):
         )
 
 
-def write_rows(folder: Path, env_id: str, train: int, val: int, seed: int) -> None:
-    """Write ``train.parquet``, ``val.parquet`` and ``gem.yaml``: each row is a task of an environment by its seed."""
+def write_rows(folder: Path, env_id: str, kwargs: str, train: int, val: int, seed: int) -> None:
+    """Write ``train.parquet``, ``val.parquet`` and ``gem.yaml``.
+
+    A row is a task: of a data set by its index, the last ones for validation; of any other environment by its seed.
+    """
     import pandas as pd
 
-    prompt = [{"role": "user", "content": f"(the task comes from {env_id})"}]
-    seeds = {"train": range(seed, seed + train), "val": range(seed + train, seed + train + val)}
-    for name, numbers in seeds.items():
+    with gem.make(env_id, **json.loads(kwargs)) as env:
+        tasks = env.get_wrapper_attr("num_tasks")
+    if tasks is not None:
+        train = min(train, tasks - val)
+        if train < 1:
+            raise ArgumentError(f"{env_id} has {tasks} tasks, and {val} are for validation; give a smaller --val")
+    places = {"train": range(train), "val": range(train, train + val) if tasks is None else range(tasks - val, tasks)}
+    for name, numbers in places.items():
         table = [
             {
                 "data_source": env_id,
                 "agent_name": "gem",
-                "prompt": prompt,
+                "prompt": [{"role": "user", "content": f"(the task comes from {env_id})"}],
                 "reward_model": {"style": "rule", "ground_truth": ""},
-                "extra_info": {"env_id": env_id, "seed": number, "index": number, "options": "", "kwargs": ""},
+                "extra_info": {
+                    "env_id": env_id,
+                    "seed": seed + number,
+                    "index": number,
+                    "options": "" if tasks is None else json.dumps({"index": number}),
+                    "kwargs": kwargs,
+                },
             }
             for number in numbers
         ]
@@ -441,7 +460,7 @@ def check_rows(folder: str) -> None:
     from omegaconf import OmegaConf
     from verl.utils.dataset.rl_dataset import RLHFDataset
 
-    write_rows(Path(folder), "game:Mastermind-v0-easy", train=3, val=2, seed=5)
+    write_rows(Path(folder), "game:Mastermind-v0-easy", '{"max_turns": 4}', train=3, val=2, seed=5)
     config = OmegaConf.create({"max_prompt_length": 1024, "cache_dir": folder})
     rows = RLHFDataset(str(Path(folder, "val.parquet")), trial_tokenizer(), config)
     check([rows[place]["extra_info"]["seed"] for place in range(len(rows))] == [8, 9], "verl reads the rows")
@@ -453,12 +472,13 @@ def main() -> None:
     commands = parser.add_subparsers(dest="command")
     rows = commands.add_parser("rows", help="write train.parquet, val.parquet and gem.yaml into this folder")
     rows.add_argument("env_id")
+    rows.add_argument("--kwargs", default="{}", help="""of the environment: '{"wrappers": "python"}'""")
     rows.add_argument("--train", type=int, default=4096, help="tasks to train on (default: 4096)")
     rows.add_argument("--val", type=int, default=128, help="other tasks, for validation (default: 128)")
     rows.add_argument("--seed", type=int, default=0, help="seed of the first task (default: 0)")
     given = parser.parse_args()
     if given.command == "rows":
-        write_rows(Path(), given.env_id, given.train, given.val, given.seed)
+        write_rows(Path(), given.env_id, given.kwargs, given.train, given.val, given.seed)
         return
     with tempfile.TemporaryDirectory() as folder:
         check_commands(folder)
