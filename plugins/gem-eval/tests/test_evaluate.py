@@ -6,10 +6,8 @@ import asyncio
 import json
 import os
 import signal
-import sqlite3
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -300,29 +298,6 @@ def test_a_limit_of_the_run_stops_it_and_a_higher_one_goes_on() -> None:
     assert 0 < len(run.rows) < 6
     assert "run tokens" in {row.cut_off for row in run.rows}
     assert told(evaluate(tasks, {"a": guesses}, out="run")) == told(evaluate(tasks, {"a": guesses}, out="whole"))
-
-
-def test_answers_come_from_the_cache_where_a_request_is_the_same() -> None:
-    """Other epochs are other requests, and so are other rows that begin with the same observation."""
-    asked: list[int] = []
-    lock = threading.Lock()
-
-    def counted(observation: Any, context: Context) -> Response:
-        with lock:
-            asked.append(1)
-        return Response(f"\\boxed{{{len(asked)}}}", usage={"prompt_tokens": 1, "completion_tokens": 1})
-
-    counted.reads = "messages"  # type: ignore[attr-defined]
-    tasks = suite({"id": "evaltest:Sums", "limit": 3}, {"id": GAME, "episodes": 3, "max_turns": 1}, epochs=2)
-    first = evaluate(tasks, {"a": counted}, out="one", cache="cache")
-    second = evaluate(tasks, {"a": counted}, out="two", cache="cache")
-    assert len(asked) == 12
-    assert told(first) == told(second)
-    assert {row.cached for row in second.rows} == {1}
-    with sqlite3.connect("cache/responses.sqlite") as database:
-        database.execute("UPDATE responses SET response = CASE rowid % 2 WHEN 0 THEN '[1]' ELSE '{' END")
-    assert evaluate(tasks, {"a": counted}, out="three", cache="cache").info["status"] == "finished"
-    assert len(asked) == 24
 
 
 def test_the_record_says_what_was_run() -> None:

@@ -43,7 +43,6 @@ class Row:
         seconds: From the first question to the end.
         model_seconds: Those in which the model was asked.
         finished: When the episode ended, in seconds since 1970.
-        cached: How many responses came from the cache.
         group: Shared by episodes that started alike.
         return_range: The lowest and the highest return that the environment declares; None where it declares none.
         seat: Name of the seat, for the row of one of several agents; ``id`` then names the seat as well.
@@ -72,7 +71,6 @@ class Row:
     seconds: float | None = None
     model_seconds: float | None = None
     finished: float | None = None
-    cached: int = 0
     group: str | None = None
     return_range: tuple[float, float] | None = None
     seat: str | None = None
@@ -177,7 +175,7 @@ _ALLOWED = {
     if each.name != "seats"
 }
 """The types of each field of the index."""
-_MEASURED = ("cost", "seconds", "model_seconds", "finished", "cached")
+_MEASURED = ("cost", "seconds", "model_seconds", "finished")
 """What only the record says, under ``"evaluation"``."""
 
 

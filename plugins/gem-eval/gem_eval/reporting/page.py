@@ -42,7 +42,7 @@ _ENDING_CLASSES = {
     "cut off by cost": "e-cost",
     "error": "e-error",
 }
-_FACTS = ("command", "suite", "models", "tasks", "epochs", "seed", "limits", "cache", "sessions", "versions", "host")
+_FACTS = ("command", "suite", "models", "tasks", "epochs", "seed", "limits", "sessions", "versions", "host")
 """What of ``run.json`` is told first."""
 _NOT_FACTS = ("schema_version", "status")
 

@@ -43,7 +43,6 @@ _OF_SESSION = (
     "step_timeout",
     "backend",
     "prices",
-    "cache",
     "out",
     "new",
     "go_on_anyway",
@@ -125,7 +124,6 @@ wrong argument, 130 after Ctrl-C.
 @click.option("--run-tokens", type=AtLeast(min=1), help="Most tokens of the run.")
 @click.option("--run-cost", type=click.FloatRange(min=0, min_open=True), help="Most US dollars of the run.")
 @click.option("--prices", metavar="FILE", help="What tokens cost, in place of the built-in list.")
-@click.option("--cache", metavar="FOLDER", help="Reuse answers to the same requests from earlier runs.")
 @click.option("--retry-errors", is_flag=True, help="Play episodes with an error again.")
 @click.option(
     "--error-threshold",

@@ -18,8 +18,7 @@ from gem_core.records import to_plain, without_secrets
 from gem_core.rollouts import Agent, FinishedEpisodes, as_agent, close_agent, load_agent, load_agents, prepare_agent
 from gem_eval.files import new_run_folder
 from gem_eval.records import Row, Run, RunWriter, read_info
-from gem_eval.running.cache import ResponseCache
-from gem_eval.running.limits import RUN_LIMITS, Limits, MeteredAgent, RunMeter, metered
+from gem_eval.running.limits import RUN_LIMITS, Limits, RunMeter, metered
 from gem_eval.running.planning import Evaluation, digest, plan_evaluation
 from gem_eval.running.prices import load_prices
 from gem_eval.running.provenance import code_of_agent, code_of_env, host, versions
@@ -46,7 +45,6 @@ class EvaluationOptions(SuiteChanges, total=False):
     out: str | Path | None
     limits: Limits | None
     prices: str | Path | None
-    cache: str | Path | None
     retry_errors: bool
     error_threshold: float
     max_concurrency: int | None
@@ -71,7 +69,6 @@ def evaluate(
         out: Folder of the run; None for one in ``runs/``. One that holds this run goes on.
         limits: What an episode and the run may take.
         prices: File of prices; None for the one that comes with the plugin.
-        cache: Folder with responses of earlier runs, which are taken where a request is the same; None for none.
         retry_errors: Play episodes again that ended in an error.
         error_threshold: Share of episodes with an error, after twenty episodes, above which the run is stopped.
         max_concurrency: Episodes at once, of all models and tasks together; None for as many requests as a model may
@@ -112,7 +109,6 @@ class EvaluationSession:
         self.limits = options.get("limits") or Limits()
         self._prices = load_prices(options.get("prices"))
         self._retry = options.get("retry_errors", False)
-        self._scores: list[Score] | None = None
         self._given = models or self.suite.models
         self._agents, self._models = _load_models(self._given, self.suite)
         self.plan: Evaluation = plan_evaluation(self.suite, self._models)
@@ -144,10 +140,8 @@ class EvaluationSession:
         return sorted(self.run.rows, key=lambda row: (self._place(row.key), row.epoch))
 
     def scores(self) -> list[Score]:
-        """Return the scores, computed once for those who ask after the session has ended."""
-        if self._scores is None:
-            self._scores = compute_scores(self.rows())
-        return self._scores
+        """Return the scores so far."""
+        return compute_scores(self.rows())
 
     def metrics(self) -> dict[str, Any]:
         """Return the scores and times so far as plain JSON."""
@@ -192,17 +186,14 @@ class EvaluationSession:
                 ended["reason"] = f"{type(error).__name__}: {error}"
                 raise
             finally:
-                self._scores = None
                 info["sessions"][-1]["ended"] = time.time()
                 writer.write_info({**info, **ended, "silent": sorted(meter.silent)})
                 writer.write_metrics(self.metrics())
 
     def _episodes(self, writer: RunWriter, meter: RunMeter, before: list[Row], at_end: ExitStack) -> Iterator[Row]:
-        folder, threshold = self._options.get("cache"), self._options.get("error_threshold", 0.5)
-        cache = None if folder is None else ResponseCache(folder)
-        if cache is not None:
-            at_end.callback(cache.close)
-        agents = {name: self._metered(name, agent, meter, cache) for name, agent in self._agents.items()}
+        threshold = self._options.get("error_threshold", 0.5)
+        prices = {model.label: self._prices.find(model.agent) for model in self._models}
+        agents = {name: metered(name, agent, meter, prices[name]) for name, agent in self._agents.items()}
         done = FinishedEpisodes()
         for row in before:
             if self._stays(row):
@@ -250,7 +241,6 @@ class EvaluationSession:
                 "seconds": round(time.monotonic() - taken.started, 6),
                 "model_seconds": round(taken.model_seconds, 6),
                 "cost": taken.cost,
-                "cached": taken.cached,
             }
         return told
 
@@ -272,13 +262,6 @@ class EvaluationSession:
         if self.interactive:
             return 1
         return max(int(getattr(agent, "max_concurrency", DEFAULT_REQUESTS)) for agent in self._agents.values())
-
-    def _metered(self, name: str, agent: Agent, meter: RunMeter, cache: ResponseCache | None) -> MeteredAgent:
-        model = next(model for model in self._models if model.label == name)
-        # What others answer may depend on more than what they are sent.
-        of_model = cache if getattr(agent, "reads", None) == "messages" else None
-        rows = [row.name for _, row in self.plan.row_of]
-        return metered(name, agent, meter, self._prices.find(model.agent), of_model, self._described(model), rows)
 
     # The record.
 
@@ -327,8 +310,7 @@ class EvaluationSession:
             "status": "running",
             "command": self._options.get("command"),
             **self._settings,
-            "prices": {"file": _path(self._options.get("prices")), "as_of": self._prices.as_of},
-            "cache": _path(self._options.get("cache")),
+            "prices": {"file": str(self._options.get("prices") or ""), "as_of": self._prices.as_of},
             "versions": versions(),
             "host": host(),
             "sessions": list(self.run.info.get("sessions", [])) if self.goes_on else [],
@@ -431,10 +413,6 @@ def _load_models(given: Models, suite: Suite) -> tuple[dict[str, Agent], list[Mo
             models.append(model.model_copy(update={"name": name, "perturb": both}))
             agents[name] = agents[model.label]
     return agents, models
-
-
-def _path(path: str | Path | None) -> str | None:
-    return None if path is None else str(path)
 
 
 def _remove_if_empty(path: Path) -> None:

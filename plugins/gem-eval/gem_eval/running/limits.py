@@ -5,16 +5,15 @@ from __future__ import annotations
 import asyncio
 import inspect
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from gem_core import Observation, Response
 from gem_core.errors import ArgumentError, EpisodeLimitError
 from gem_core.rollouts import Agent, Context, is_asynchronous
 
 if TYPE_CHECKING:
-    from gem_eval.running.cache import ResponseCache
     from gem_eval.running.prices import Price
 
 _FORWARDED = ("prepare", "close", "aclose", "interactive", "max_concurrency", "reads", "system", "native_tools")
@@ -70,14 +69,12 @@ class Meter:
         tokens: Tokens read and written.
         cost: US dollars; None without a price.
         model_seconds: Seconds in which the model was asked.
-        cached: Responses that came from the cache.
     """
 
     started: float = field(default_factory=time.monotonic)
     tokens: int = 0
     cost: float | None = None
     model_seconds: float = 0.0
-    cached: int = 0
 
     def add(self, usage: Mapping[str, Any], price: Price | None) -> None:
         """Count what a response took."""
@@ -137,30 +134,17 @@ class RunMeter:
 
 
 class MeteredAgent:
-    """An agent that is held to limits, whose usage is counted, and whose answers may come from a cache.
+    """An agent that is held to limits, and whose usage is counted.
 
     Args:
         name: Name of the model.
         agent: The agent.
         meter: Meter of the run.
         price: What its tokens cost; None where that is not known.
-        cache: Answers that are there already; None for none.
-        identity: What the cache tells requests of this model by, besides what is sent.
-        rows: The row of each episode of the plan, for the cache: rows that begin alike have answers of their own.
     """
 
-    def __init__(
-        self,
-        name: str,
-        agent: Agent,
-        meter: RunMeter,
-        price: Price | None = None,
-        cache: ResponseCache | None = None,
-        identity: Any = None,
-        rows: Sequence[str] = (),
-    ) -> None:
+    def __init__(self, name: str, agent: Agent, meter: RunMeter, price: Price | None = None) -> None:
         self._name, self._agent, self._meter, self._price = name, agent, meter, price
-        self._cache, self._identity, self._rows = cache, identity, rows
 
     def __getattr__(self, name: str) -> Any:
         if name not in _FORWARDED:
@@ -173,27 +157,16 @@ class MeteredAgent:
         Raises:
             EpisodeLimitError: A limit is reached.
         """
-        meter, key, kept = self._begin(observation, context)
-        if kept is not None:
-            return kept
-        asked = time.monotonic()
-        return self._note(meter, asked, key, cast("str", self._agent(observation, context)))
+        meter, asked = self._begin(context), time.monotonic()
+        return self._note(meter, asked, self._agent(observation, context))
 
-    def _begin(self, observation: Observation, context: Context) -> tuple[Meter, str, Response | None]:
-        """Check the limits; return the meter of the episode, the key of the request, and the answer that is kept."""
+    def _begin(self, context: Context) -> Meter:
+        """Check the limits; return the meter of the episode."""
         meter = self._meter.episodes.setdefault(context.episode, Meter())
         self._meter.check(meter)
-        if self._cache is None:
-            return meter, "", None
-        told = [observation, context.tools, context.system]
-        key, _, epoch = context.episode.rpartition(".")
-        repeat = [context.env_id, self._rows[int(key)], context.turn, epoch]
-        request = self._cache.key([self._identity, told, repeat])
-        kept = self._cache.find(request)
-        meter.cached += kept is not None
-        return meter, request, kept
+        return meter
 
-    def _note(self, meter: Meter, asked: float, key: str, answer: str) -> str:
+    def _note(self, meter: Meter, asked: float, answer: Any) -> Any:
         meter.model_seconds += time.monotonic() - asked
         usage = answer.usage if isinstance(answer, Response) else None
         if usage is None:
@@ -201,8 +174,6 @@ class MeteredAgent:
         else:
             meter.add(usage, self._price)
             self._meter.total.add(usage, self._price)
-        if self._cache is not None and isinstance(answer, str):
-            self._cache.keep(key, Response.of(answer))
         return answer
 
 
@@ -211,10 +182,7 @@ class AsyncMeteredAgent(MeteredAgent):
 
     async def __call__(self, observation: Observation, context: Context) -> Any:
         """Return the agent's answer; see ``MeteredAgent``."""
-        meter, key, kept = self._begin(observation, context)
-        if kept is not None:
-            return kept
-        asked = time.monotonic()
+        meter, asked = self._begin(context), time.monotonic()
         deadline, limit = self._meter.deadline(meter)
         answer: Any = self._agent(observation, context)
         if inspect.isawaitable(answer):
@@ -225,10 +193,9 @@ class AsyncMeteredAgent(MeteredAgent):
                 if deadline is None or time.monotonic() < deadline:
                     raise  # the agent's own
                 raise EpisodeLimitError(f"no answer before the {limit} was used up", limit=limit) from None
-        return self._note(meter, asked, key, answer)
+        return self._note(meter, asked, answer)
 
 
-def metered(name: str, agent: Agent, *args: Any) -> MeteredAgent:
+def metered(name: str, agent: Agent, meter: RunMeter, price: Price | None = None) -> MeteredAgent:
     """Return an agent that is held to limits; see ``MeteredAgent``."""
-    kind: Callable[..., MeteredAgent] = AsyncMeteredAgent if is_asynchronous(agent) else MeteredAgent
-    return kind(name, agent, *args)
+    return (AsyncMeteredAgent if is_asynchronous(agent) else MeteredAgent)(name, agent, meter, price)
