@@ -6,7 +6,7 @@ KNOWN_DISTRIBUTIONS: dict[str, dict[str, str]] = {
     "gem-math": {"namespace": "eval math rg"},
     "gem-code": {"namespace": "code eval"},
     "gem-eval": {
-        "wrapper": "paraphrase tool_429 tool_timeout typos",
+        "wrapper": "polite tool_429 tool_timeout typos",
         "command": "audit compare eval export replay report score show view",
     },
     "gem-games": {"namespace": "game ta", "agent": "bisect hanoi kuhn mastermind negotiator tictactoe wikigame"},

@@ -23,7 +23,7 @@ _COMMANDS = {
 _WRAPPERS = {
     "tool_429": ("tool_faults:Tool429", "Answer some calls of tools with HTTP status 429."),
     "tool_timeout": ("tool_faults:ToolTimeout", "Answer some calls of tools as if they had run out of time."),
-    "paraphrase": ("wording:Paraphrase", "Say the task in other words of the same meaning."),
+    "polite": ("wording:Polite", "Put polite sentences around the task."),
     "typos": ("wording:Typos", "Misspell some words of the task."),
 }
 

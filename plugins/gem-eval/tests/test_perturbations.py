@@ -14,7 +14,7 @@ from gem_core.errors import ArgumentError
 from gem_core.testing import check_wrapper
 from gem_core.tools import ToolEnv
 from gem_eval.robustness.tool_faults import Tool429, ToolTimeout
-from gem_eval.robustness.wording import Paraphrase, Typos, change_prose
+from gem_eval.robustness.wording import Polite, Typos, change_prose
 
 CALL = "<note>a long line of text</note>"
 
@@ -33,7 +33,7 @@ register()
 PERTURBATIONS: dict[str, Callable[[AnyEnv], AnyEnv]] = {
     "tool_429": lambda env: Tool429(ToolEnv(env, [Notebook()]), rate=0.5),
     "tool_timeout": lambda env: ToolTimeout(ToolEnv(env, [Notebook()]), rate=0.5),
-    "paraphrase": lambda env: Paraphrase(env, rate=0.5),
+    "polite": lambda env: Polite(env, rate=0.5),
     "typos": lambda env: Typos(env, rate=0.5),
 }
 
@@ -89,8 +89,8 @@ def test_a_call_that_fails_is_not_executed(tool: type[gem.Tool]) -> None:
 
 def test_they_are_found_by_name_and_name_what_they_lack() -> None:
     """``make`` takes them by name; without tools the error says where to name some."""
-    env = gem.make("perturbed:Dice-v0", wrappers=[Notebook(), "tool_429", "paraphrase", "typos"])
-    assert [name for name, _ in env.spec.wrappers] == ["tools", "tool_429", "paraphrase", "typos"]
+    env = gem.make("perturbed:Dice-v0", wrappers=[Notebook(), "tool_429", "polite", "typos"])
+    assert [name for name, _ in env.spec.wrappers] == ["tools", "tool_429", "polite", "typos"]
     for wrappers in ("tool_429", [("typos", {"rate": 2})]):
         with pytest.raises(ArgumentError):
             gem.make("perturbed:Dice-v0", wrappers=wrappers)
@@ -99,49 +99,30 @@ def test_they_are_found_by_name_and_name_what_they_lack() -> None:
         gem.make("perturbed:Echo-v0", wrappers="concat,typos").reset(seed=1)
 
 
-TASK = """You are not shown the code. Write your guess inside \\boxed{do not}, for example `do not`, at most 3 times.
-The word "cannot" is not <answer>do not</answer>; see https://example.com/do not x and $do not$.
-    do not indent
-x = do not
-```
-do not
-```
-The end: cannot."""
-
-
-def test_only_running_text_is_paraphrased() -> None:
-    """Phrases are exchanged, and quotations, formulas, tags, code and fences stay to the letter."""
-    env = Paraphrase(Guard(Echo()))
-    env.reset(seed=1)
-    expected = TASK
-    for before, after in (
-        ("You are not", "You aren't"),
-        ("Write your", "Put your"),
-        ("for example", "for instance"),
-        ("at most", "no more than"),
-        ('"cannot" is not', '"cannot" isn\'t'),
-        ("end: cannot", "end: can't"),
-    ):
-        assert before in expected
-        expected = expected.replace(before, after)
-    assert expected in env.change(TASK)
-
-
-def test_a_paraphrase_leaves_the_board_and_the_tools_alone() -> None:
-    """Polite sentences stand around the task, before the explanation of the tools and the board."""
-    plain, env = with_tools(), Paraphrase(with_tools())
-    (before, info), (after, paraphrased) = plain.reset(seed=1), env.reset(seed=1)
+def test_polite_sentences_leave_the_board_and_the_tools_alone() -> None:
+    """They stand around the task, before the explanation of the tools and the board."""
+    plain, env = with_tools(), Polite(with_tools())
+    (before, info), (after, changed) = plain.reset(seed=1), env.reset(seed=1)
     told = info["tool_instructions"]["text"]
-    assert paraphrased["tool_instructions"]["text"] == told
+    assert changed["tool_instructions"]["text"] == told
     assert after.partition(told)[2] == before.partition(told)[2]
-    assert "You can't see it, for instance 'seven'." in after
-    assert after == paraphrased["feedback"] + paraphrased["suffix"]
+    assert "You cannot see it, for example 'seven'." in after
+    assert len(after) > len(before)
+    assert after == changed["feedback"] + changed["suffix"]
 
 
 def test_typos_keep_the_first_and_last_letter_and_all_else() -> None:
-    """Only words of small letters are changed, by exchanging two neighbours inside."""
+    """Only words of small letters in running text are changed, by exchanging two neighbours inside."""
     env = Typos(Guard(Echo()), rate=1.0)
     env.reset(seed=1)
+    for kept in (
+        "    indented lines",
+        "x = apples",
+        "```\napples\n```",
+        "<answer>apples</answer> $apples$",
+        "a/apples",
+    ):
+        assert env.change(kept) == kept
     text = "Consider 12345 apples, Berlin and snake_case: 'letters' stay, trial too, as does \\boxed{answer}."
     words = [(one, other) for one, other in zip(text.split(), env.change(text).split(), strict=True) if one != other]
     assert [one for one, _ in words] == []  # an underscore makes the line code

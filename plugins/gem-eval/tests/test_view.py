@@ -252,34 +252,22 @@ def served(*paths: Path) -> Iterator[str]:
         library.stop()
 
 
-def test_changes_are_told_as_they_happen(runs: Path) -> None:
-    """By server-sent events, each with the list of runs; the end of the server ends them. A taken port is an error."""
-    with served(runs) as address:
-        port = int(address.split(":")[-1].strip("/"))
-        with pytest.raises(SystemExit) as caught:
-            main(["view", str(runs), "--port", str(port)])
-        assert caught.value.code == 2
-        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
-        connection.request("GET", "/api/events")
-        answer = connection.getresponse()
-        assert answer.headers["content-type"].startswith("text/event-stream")
-        write_run(runs / "third", [maze(), failed()])
-        told: list[dict[str, Any]] = []
-        while [run.get("episodes") for run in told] != [5, 3, 2]:
-            line = answer.readline()
-            told = json.loads(line[6:]) if line.startswith(b"data: ") else told
-        connection.close()
+def test_a_port_that_is_taken_is_an_error(runs: Path) -> None:
+    """With exit code 2."""
+    with served(runs) as address, pytest.raises(SystemExit) as caught:
+        main(["view", str(runs), "--port", address.split(":")[-1].strip("/")])
+    assert caught.value.code == 2
 
 
 def test_ctrl_c_ends_it_quietly(runs: Path) -> None:
-    """Also while a page is open that is told of changes."""
+    """Also while a page is open."""
     command = [sys.executable, "-m", "gem_core", "view", str(runs)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ})
     assert process.stdout is not None
     port = int(re.findall(r"http://127\.0\.0\.1:(\d+)/", process.stdout.readline())[0])
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
-    connection.request("GET", "/api/events")
-    assert connection.getresponse().readline().startswith(b"data: ")
+    connection.request("GET", "/api/runs")
+    assert connection.getresponse().status == 200
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
     assert (process.returncode, error) == (0, "")

@@ -6,6 +6,7 @@
   const LISTS = ["run", "outcome"];
   const TEXTS = ["model", "id", "reason", "text", "sort", "reverse", ...NUMBERS];
   const TYPING_MS = 200;
+  const FOLLOW_MS = 500;
 
   // ---- What is shown; the address says it.
 
@@ -664,10 +665,20 @@
     table.draw();
   }
 
-  function follow() {
-    const events = new EventSource("/api/events");
-    events.addEventListener("message", (event) => { $("link").classList.remove("lost"); if ($("link").textContent.startsWith("gem view has")) $("link").textContent = ""; takeRuns(JSON.parse(event.data)); });
-    events.addEventListener("error", () => { $("link").classList.add("lost"); $("link").textContent = "gem view has ended; start it again"; });
+  // Asks again and again what the runs are: also those that grow, and those that begin.
+  async function follow() {
+    for (let last = ""; ; await new Promise((resolve) => { setTimeout(resolve, FOLLOW_MS); })) {
+      try {
+        const text = await (await get("runs", "")).text();
+        $("link").classList.remove("lost");
+        if ($("link").textContent.startsWith("gem view has")) $("link").textContent = "";
+        if (text !== last) takeRuns(JSON.parse(text));
+        last = text;
+      } catch {
+        $("link").classList.add("lost");
+        $("link").textContent = "gem view has ended; start it again";
+      }
+    }
   }
 
   function showAddressed() {

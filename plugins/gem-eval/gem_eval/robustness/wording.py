@@ -1,4 +1,4 @@
-"""``paraphrase`` and ``typos``: the same task in other words, or written carelessly."""
+"""``polite`` and ``typos``: the same task with polite words around it, or written carelessly."""
 
 from __future__ import annotations
 
@@ -20,26 +20,6 @@ _OPENINGS = (
 )
 _CLOSINGS = ("\n\nThank you!", "\n\nThanks in advance.", "\n\nI look forward to your answer.")
 
-_SAME_MEANING = {
-    "do not": "don't",
-    "does not": "doesn't",
-    "is not": "isn't",
-    "are not": "aren't",
-    "cannot": "can't",
-    "will not": "won't",
-    "there is": "there's",
-    "for example": "for instance",
-    "in order to": "to",
-    "each turn": "every turn",
-    "at most": "no more than",
-    "as well as": "and also",
-    "write your": "put your",
-    "give the answer": "state the answer",
-    "give your": "state your",
-}
-"""Phrases that may stand for each other wherever they occur in instructions."""
-
-_PHRASES = re.compile(rf"(?<![\w'])(?:{'|'.join(_SAME_MEANING)})(?![\w'])", re.IGNORECASE)
 _WORDS = re.compile(r"(?<![\w'\\-])[a-z]{5,}+(?![\w'-])")
 _MISTAKABLE = {
     "barely", "barley", "casual", "causal", "complaint", "compliant", "dairy", "diary", "farmer", "framer", "field",
@@ -92,16 +72,12 @@ class _Wording(Perturbation):
         raise NotImplementedError
 
 
-class Paraphrase(_Wording):
-    """Says the task in other words of the same meaning.
-
-    A polite sentence is put before and one after it, drawn from a short list, and phrases from a table are exchanged
-    for others that mean the same ("for example" for "for instance"). Sentences keep their order and capitals their
-    place. Left alone are code, formulas, quotations, tags, brackets, numbers, and lines that are no running text.
+class Polite(_Wording):
+    """Puts a polite sentence before the task, and one after it, drawn from a short list.
 
     Args:
         env: What is disturbed; inside any view of the history.
-        rate: Probability that a phrase of the table is exchanged.
+        rate: Probability that it happens to an episode.
 
     Raises:
         ArgumentError: The rate is no number from 0 to 1.
@@ -111,13 +87,12 @@ class Paraphrase(_Wording):
         super().__init__(env, rate)
 
     def change(self, text: str) -> str:
-        """Return the text with other phrases and polite sentences around it."""
+        """Return the text with polite sentences around it."""
+        if not self.happens():
+            return text
         body = text.rstrip("\n")
         opening, closing = _OPENINGS[self.below(len(_OPENINGS))], _CLOSINGS[self.below(len(_CLOSINGS))]
-        return f"{opening}{change_prose(body, self._exchange)}{closing}{text[len(body) :]}"
-
-    def _exchange(self, prose: str) -> str:
-        return _PHRASES.sub(lambda phrase: _as_begun(phrase[0]) if self.happens() else phrase[0], prose)
+        return f"{opening}{body}{closing}{text[len(body) :]}"
 
 
 class Typos(_Wording):
@@ -168,9 +143,3 @@ def change_prose(text: str, change: Callable[[str], str]) -> str:
                 at = quoted.end()
             lines[number] = "".join([*pieces, change(line[at:])])
     return "\n".join(lines)
-
-
-def _as_begun(phrase: str) -> str:
-    """Return the other phrase, with a capital where the one that is exchanged has one."""
-    other = _SAME_MEANING[phrase.lower()]
-    return other[0].upper() + other[1:] if phrase[0].isupper() else other

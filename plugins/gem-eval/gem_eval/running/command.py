@@ -61,11 +61,11 @@ Examples:
   gem eval tasks.yaml --model my_module:my_agent --where 'level == 5'
   gem eval tau-sample --model openai:gpt-5-mini --role user=openai:gpt-5-nano --run-cost 5
   gem eval games --model openai:gpt-5-mini --retry-errors
-  gem eval math:GSM8K --model openai:gpt-5-mini --tools python --perturb tool_429 --perturb typos,paraphrase
+  gem eval math:GSM8K --model openai:gpt-5-mini --tools python --perturb tool_429 --perturb typos,polite
 \b
 --perturb also plays each row as a variant of the model, such as 'openai:gpt-5-mini + typos': its tools,
 or task are disturbed, by seed. 'gem compare RUN' shows how much the score falls. It takes tool_429,
-tool_timeout, paraphrase, typos, and any other name of 'gem list wrappers' and 'gem list tools'; 'gem info NAME'
+tool_timeout, polite, typos, and any other name of 'gem list wrappers' and 'gem list tools'; 'gem info NAME'
 says what each does, and its options.
 \b
 The same command goes on with a run that was stopped, and begins a new one after it has finished; --new

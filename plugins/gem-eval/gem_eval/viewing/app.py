@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import Callable, Iterator
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
@@ -48,8 +47,6 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-_EVENT_PAUSE_S = 0.25
-_QUIET_PAUSES = 40
 
 
 def make_app(library: Library, is_stopping: Callable[[], bool] = lambda: False) -> Starlette:
@@ -57,7 +54,7 @@ def make_app(library: Library, is_stopping: Callable[[], bool] = lambda: False) 
 
     Args:
         library: The runs.
-        is_stopping: Whether the server is about to end, upon which streams of events end.
+        is_stopping: Whether the server is about to end, upon which a search ends.
     """
     pages = _Pages(library, is_stopping)
     routes = [
@@ -67,7 +64,6 @@ def make_app(library: Library, is_stopping: Callable[[], bool] = lambda: False) 
         Route("/api/episode", pages.episode),
         Route("/api/image", pages.image),
         Route("/api/search", pages.search),
-        Route("/api/events", pages.events),
     ]
     return Starlette(
         routes=routes,
@@ -78,14 +74,14 @@ def make_app(library: Library, is_stopping: Callable[[], bool] = lambda: False) 
 
 
 class _Pages:
-    """Answers requests. Those that are not asynchronous run in a pool of threads."""
+    """Answers requests, in a pool of threads."""
 
     def __init__(self, library: Library, is_stopping: Callable[[], bool]) -> None:
         self._library = library
         self._is_stopping = is_stopping
 
     def runs(self, _: Request) -> Response:
-        return _json(self._summaries())
+        return _json([viewed.summary for viewed in self._library.runs])
 
     def rows(self, request: Request) -> Response:
         runs = tuple((viewed, viewed.version) for viewed in self._runs_of(request))
@@ -132,23 +128,6 @@ class _Pages:
             if self._is_stopping():
                 return
             yield _plain_json(value) + "\n"
-
-    async def events(self, request: Request) -> Response:
-        return StreamingResponse(self._changes(request), media_type="text/event-stream", headers=_HEADERS)
-
-    async def _changes(self, request: Request) -> AsyncIterator[str]:
-        sent, quiet = "", 0
-        while not self._is_stopping() and not await request.is_disconnected():
-            text = _plain_json(self._summaries())
-            if text != sent:
-                yield f"data: {text}\n\n"
-                sent, quiet = text, 0
-            elif (quiet := quiet + 1) % _QUIET_PAUSES == 0:
-                yield ": still here\n\n"
-            await asyncio.sleep(_EVENT_PAUSE_S)
-
-    def _summaries(self) -> list[dict[str, Any]]:
-        return [viewed.summary for viewed in self._library.runs]
 
     def _runs_of(self, request: Request) -> list[ViewedRun]:
         names = request.query_params.getlist("run")
