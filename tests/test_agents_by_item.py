@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 
 import gem_core as gem
-from gem_core import Episode, PlanItem, Response
-from gem_core.errors import ArgumentError, EpisodeFileError, EpisodeLimitError, RequestError
-from gem_core.records.episode import Transition
+from gem_core import PlanItem
+from gem_core.errors import ArgumentError, EpisodeLimitError, RequestError
 from gem_core.rollouts import Context
 
 ID = "game:GuessTheNumber-v0-easy"
@@ -84,18 +83,3 @@ def test_an_error_says_its_cause() -> None:
 
     (episode,) = gem.rollout(ID, failing, episodes=1)
     assert episode.error == {"kind": "agent", "cause": "rate_limit", "message": "too many requests"}
-
-
-def test_observations_that_earlier_versions_wrote_folded_are_read() -> None:
-    """Each said how much it has in common with the one before; what refers to nothing is damaged."""
-    shown = ["x" * 500, "x" * 500 + "y", [{"role": "user"}], [{"role": "user"}, {"role": "assistant"}]]
-    turns = [Transition(each, Response("a"), 0.0, False, False, {}) for each in shown[:3]]
-    episode = Episode("toy:A-v0", 1, shown[0], {}, turns, shown[3])
-    record = episode.to_dict()
-    record["transitions"][0]["observation"] = {"__same__": 500, "rest": ""}
-    record["transitions"][1]["observation"] = {"__same__": 500, "rest": "y"}
-    record["final_observation"] = {"__same__": 1, "rest": [{"role": "assistant"}]}
-    assert Episode.from_dict(record) == episode
-    record["final_observation"]["__same__"] = 2
-    with pytest.raises(EpisodeFileError, match="repeats 2"):
-        Episode.from_dict(record)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +15,17 @@ from PIL import Image
 
 from gem_core.errors import EpisodeFileError
 from gem_core.records.episode import Episode, Transition
-from gem_core.records.files import EpisodeFileWarning, EpisodeWriter, episode_lines, read_episodes, write_episodes
+from gem_core.records.files import (
+    EpisodeFileWarning,
+    EpisodeWriter,
+    episode_lines,
+    read_episodes,
+    read_records,
+    whole_file,
+    write_episodes,
+)
+from gem_core.records.joint import JointEpisode
 from gem_core.records.plain_json import ImageFolder, to_plain
-from gem_core.records.whole_files import whole_file
 from gem_core.types import Response
 
 ANY_TEXT = st.text(st.characters(codec=None, categories=None), max_size=30)
@@ -67,7 +72,6 @@ def test_any_text_is_read_back(tmp_path_factory: pytest.TempPathFactory, action:
     "value",
     [
         "\ud83d\ude00",
-        "a\ud83d\ude00\ud83d\ude00b",
         {"__image__": "x"},
         {"__text__": []},
         {"__plain__": {"__plain__": 1}},
@@ -89,13 +93,10 @@ def ended(last: dict[str, Any], first: dict[str, Any] | None = None, *, terminat
     ("record", "success", "cut_off"),
     [
         (ended({"correct": True}, terminated=True), True, None),
-        (ended({"correct": False}, terminated=True), False, None),
         (ended({}, terminated=True), None, None),
         (ended({}, terminated=False), False, "turns"),
         (ended({"correct": True}, terminated=False), True, "turns"),
-        (ended({"correct": None}, terminated=False), False, "turns"),
         (ended({}, {"correct": None}, terminated=False), None, "turns"),
-        (ended({}, {"correct": None}, terminated=True), None, None),
         (ended({"context_overflow": True}, terminated=False), False, "tokens"),
         (ended({"context_overflow": True, "correct": True}, terminated=True), True, None),
         (ended({"correct": False}, terminated=True, finish_reason="length"), False, "tokens"),
@@ -108,13 +109,6 @@ def ended(last: dict[str, Any], first: dict[str, Any] | None = None, *, terminat
 def test_an_episode_that_was_cut_off_is_not_solved(record: Episode, success: bool | None, cut_off: str | None) -> None:
     """Unknown is only what the task never tells: it ended in silence, or said so at its beginning."""
     assert (record.success, record.cut_off) == (success, cut_off)
-
-
-def test_durations_are_left_out_of_comparisons() -> None:
-    """Two runs of the same episode are equal."""
-    first = episode(info={"episode": {"r": 1.0, "l": 2, "t": 0.1}})
-    assert first == episode(info={"episode": {"r": 1.0, "l": 2, "t": 0.9}})
-    assert first != episode(info={"episode": {"r": 2.0, "l": 2, "t": 0.1}})
 
 
 def test_a_line_cut_off_is_reported_and_every_whole_episode_read(tmp_path: Path) -> None:
@@ -143,11 +137,9 @@ def test_appending_to_a_torn_file_keeps_the_new_episodes_whole(tmp_path: Path) -
     ("line", "reason"),
     [
         (b"nonsense", "it is no valid JSON"),
-        (b"[" * 100_000, "it is no valid JSON"),
         (b"9" * 10_000, "it is no valid JSON"),
         (b"{}", "there is no schema_version"),
         (b'{"schema_version": 99}', "it has form 99, and this version reads 1; upgrade gem-core"),
-        (b'{"schema_version": 1}', "the record of an episode is damaged"),
         (b'{"schema_version": 1, "transitions": [], "id": 3}', "the record of an episode is damaged"),
         (b'{"schema_version": 1, "transitions": [{"action": {"text": "a", "evil": 1}}]}', "is damaged"),
         (
@@ -177,34 +169,6 @@ def test_records_of_anything_are_refused_or_read(value: Any) -> None:
             Episode.from_dict(record)
 
 
-def test_a_file_that_is_not_there_or_cannot_be_written_is_named(tmp_path: Path) -> None:
-    """The error gives the path and the reason."""
-    with pytest.raises(EpisodeFileError, match=r"cannot read .*none\.jsonl: No such file"):
-        list(read_episodes(tmp_path / "none.jsonl"))
-    (tmp_path / "file").write_text("")
-    with pytest.raises(EpisodeFileError, match="cannot write"):
-        EpisodeWriter(tmp_path / "file" / "run.jsonl")
-
-
-def test_values_that_json_does_not_know_do_not_stop_a_run(tmp_path: Path) -> None:
-    """Numbers that are not finite, arrays, sets and objects are written as near as can be."""
-    info = {
-        "nan": float("nan"),
-        "array": np.arange(3),
-        "set": {2, 1},
-        "object": object,
-        3: (1, 2),
-        "f": np.float64(1.5),
-    }
-    (read,) = written(tmp_path / "run.jsonl", episode(info=info))
-    assert read.info["nan"] == "nan"
-    assert (read.info["array"], read.info["set"], read.info["3"], read.info["f"]) == ([0, 1, 2], [1, 2], [1, 2], 1.5)
-    deep: list[Any] = []
-    for _ in range(5000):
-        deep = [deep]
-    assert "nested over" in json.dumps(to_plain(deep))
-
-
 @pytest.mark.parametrize("mode", ["1", "P", "RGBA", "I;16", "CMYK", "F"])
 def test_images_are_read_back_without_loss(tmp_path: Path, mode: str) -> None:
     """Each is a side file named by its hash, written once."""
@@ -217,67 +181,6 @@ def test_images_are_read_back_without_loss(tmp_path: Path, mode: str) -> None:
     shown = read.observation[1]["image"]  # type: ignore[index]  # it is a list of parts
     assert (shown.mode, shown.size, shown.tobytes()) == (image.mode, image.size, image.tobytes())
     assert len(list((tmp_path / "run.images").iterdir())) == 1
-
-
-@pytest.mark.parametrize(
-    "name", ["../secret.png", "/etc/passwd", "a" * 64 + ".png/../../x", 3, None, "A" * 64 + ".png"]
-)
-def test_image_names_cannot_lead_elsewhere(tmp_path: Path, name: Any) -> None:
-    """A file of episodes is untrusted."""
-    with pytest.raises(EpisodeFileError, match="is not the name of an image file"):
-        ImageFolder(tmp_path).read(name)
-
-
-def test_missing_and_damaged_images_are_reported(tmp_path: Path) -> None:
-    """The episode is passed over, and the others are read."""
-    path = tmp_path / "run.jsonl"
-    image = Image.new("RGB", (2, 2))
-    write_episodes(path, [episode(observation=[{"type": "image", "image": image}]), episode(seed=9)])
-    (side_file,) = (tmp_path / "run.images").iterdir()
-    for damage in (lambda: side_file.write_bytes(b"no image"), side_file.unlink):
-        damage()
-        with pytest.warns(EpisodeFileWarning, match="cannot be read"):
-            assert [read.seed for read in read_episodes(path)] == [9]
-
-
-class Shy:
-    """Cannot show itself."""
-
-    def __repr__(self) -> str:
-        raise RuntimeError("no")
-
-
-@pytest.mark.parametrize(
-    ("value", "plain"),
-    [(10**5000, hex(10**5000)), (-(10**5000), hex(-(10**5000))), (10**4000, 10**4000), (Shy(), "<Shy>")],
-    ids=["long", "negative", "not too long", "shy"],
-)
-def test_odd_values_never_stop_the_writing(value: Any, plain: Any, tmp_path: Path) -> None:
-    """Python refuses numbers of over 4,300 digits, and an object may refuse to show itself."""
-    path = tmp_path / "run.jsonl"
-    write_episodes(path, [Episode(id="a:b", seed=1, observation="", info={"value": value})])
-    assert next(read_episodes(path)).info["value"] == plain
-
-
-def test_long_arguments_are_not_even_looked_through() -> None:
-    """A data set among them would be written out for every episode otherwise."""
-
-    class Rows(list[Any]):
-        def __iter__(self) -> Any:
-            raise AssertionError("looked through")
-
-    kwargs = {"rows": Rows([1] * 5000), "text": ["row"] * 1000, "high": 3}
-    episode = Episode(id="a:b", seed=1, observation="", info={}, kwargs=kwargs)
-    assert episode.to_dict()["kwargs"] == {"high": 3}
-
-
-def test_what_contains_itself_is_cut_off_at_once() -> None:
-    """Going down two ways at once would never end; what only recurs is written each time."""
-    circle: dict[str, Any] = {}
-    circle |= {"a": circle, "b": [circle]}
-    assert to_plain(circle) == {"a": "<contains itself>", "b": ["<contains itself>"]}
-    shared = [1]
-    assert to_plain([shared, shared]) == [[1], [1]]
 
 
 def test_a_file_that_fails_half_way_is_as_it_was(tmp_path: Path) -> None:
@@ -296,20 +199,89 @@ def test_a_file_that_fails_half_way_is_as_it_was(tmp_path: Path) -> None:
     assert {each.name for each in tmp_path.iterdir()} == {"file", "link"}
 
 
-def test_a_file_has_one_writer_at_a_time(tmp_path: Path) -> None:
-    """A second one is told the process of the first, in whose file nothing changes; then it is its turn."""
+def test_a_recorded_file_is_read_and_written_as_it_was(tmp_path: Path) -> None:
+    """Of one agent, with tools, a view and a group, and of several; written by the version 0.1.0 of November 2026."""
+    recorded = Path(__file__).parent / "recorded.jsonl"
+    first, second, joint = records = list(read_records(recorded))
+    assert write_episodes(tmp_path / "again.jsonl", records) == 3
+    assert (first.final_info["episode"]["r"], first.transitions[1].action.token_ids) == (first.episode_return, [1])
+    assert isinstance(joint, JointEpisode)
+    assert joint.returns.keys() == joint.agents.keys() == {"first", "second"}
+    lines, again = (path.read_text().splitlines() for path in (recorded, tmp_path / "again.jsonl"))
+    assert list(map(json.loads, lines)) == list(map(json.loads, again))
+    second.repeat = 0
+    assert first == second, "durations differ, and do not count"
+    second.info["seed"] = 0
+    assert first != second
+
+
+def test_a_file_that_cannot_be_read_or_written_is_named(tmp_path: Path) -> None:
+    """The error gives the path and the reason."""
+    with pytest.raises(EpisodeFileError, match=r"none\.jsonl: No such file"):
+        list(read_episodes(tmp_path / "none.jsonl"))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(EpisodeFileError, match="cannot write"):
+        EpisodeWriter(tmp_path / "file" / "run.jsonl")
+
+
+class Shy:
+    """Cannot show itself."""
+
+    def __repr__(self) -> str:
+        raise RuntimeError("no")
+
+
+class Rows(list[Any]):
+    """May not be gone through."""
+
+    def __iter__(self) -> Any:
+        raise AssertionError("gone through")
+
+
+def test_values_that_json_does_not_know_do_not_stop_a_run() -> None:
+    """They are written as near as can be; long arguments, as the rows of a data set, are not even gone through."""
+    circle: list[Any] = [1]
+    deep: list[Any] = []
+    circle.append(circle)
+    for _ in range(5000):
+        deep = [deep]
+    odd = {"nan": float("nan"), "array": np.arange(3), "set": {2, 1}, 3: (1, 2), "f": np.float64(1.5), "shy": Shy()}
+    assert to_plain(odd) == {"nan": "nan", "array": [0, 1, 2], "set": [1, 2], "3": [1, 2], "f": 1.5, "shy": "<Shy>"}
+    assert to_plain([10**5000, 10**4000, circle]) == [hex(10**5000), 10**4000, [1, "<contains itself>"]]
+    assert "nested over" in json.dumps(to_plain(deep))
+    kwargs = {"rows": Rows([1] * 5000), "text": ["row"] * 1000, "high": 3}
+    assert episode(kwargs=kwargs).to_dict()["kwargs"] == {"high": 3}
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "a" * 64 + ".png/../../x", 3, "A" * 64 + ".png"])
+def test_image_names_cannot_lead_elsewhere(tmp_path: Path, name: Any) -> None:
+    """A file of episodes is untrusted."""
+    with pytest.raises(EpisodeFileError, match="is not the name of an image file"):
+        ImageFolder(tmp_path).read(name)
+
+
+def test_missing_and_damaged_images_are_reported(tmp_path: Path) -> None:
+    """The episode is passed over, and the others are read."""
     path = tmp_path / "run.jsonl"
-    write = f"from gem_core.records import EpisodeWriter; EpisodeWriter({str(path)!r}, append=True)"
+    image = Image.new("RGB", (2, 2))
+    write_episodes(path, [episode(observation=[{"type": "image", "image": image}]), episode(seed=9)])
+    (side_file,) = (tmp_path / "run.images").iterdir()
+    for damage in (lambda: side_file.write_bytes(b"no image"), side_file.unlink):
+        damage()
+        with pytest.warns(EpisodeFileWarning, match="cannot be read"):
+            assert [read.seed for read in read_episodes(path)] == [9]
+
+
+def test_a_file_has_one_writer_at_a_time(tmp_path: Path) -> None:
+    """Also while it is written anew; nothing changes in it, and then it is the turn of the next."""
+    path = tmp_path / "run.jsonl"
     with EpisodeWriter(path) as writer:
         writer.write(episode())
-        with pytest.raises(EpisodeFileError, match="this process"):
+        with pytest.raises(EpisodeFileError):
             EpisodeWriter(path)
-        other = subprocess.run([sys.executable, "-c", write], capture_output=True, text=True, check=False)
-        assert "EpisodeFileError" in other.stderr
-        if sys.platform == "linux":
-            assert f"process {os.getpid()} is writing it" in other.stderr
         writer.rewrite(line.text for line in episode_lines(path))
         with pytest.raises(EpisodeFileError):
             EpisodeWriter(path, append=True)
-    assert len(list(read_episodes(path))) == 1
+        writer.write(episode())
+    assert len(list(read_episodes(path))) == 2
     EpisodeWriter(path, append=True).close()

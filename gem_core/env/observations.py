@@ -66,7 +66,7 @@ def texts_of(observation: Observation) -> list[str]:
         if part.get("reasoning_content"):
             texts.append(str(part["reasoning_content"]))
         for call in part.get("tool_calls") or ():
-            called = call.get("function", call.get("custom"))
+            called = call.get("function")
             texts += map(str, called.values() if isinstance(called, dict) else ())
     return texts
 

@@ -7,9 +7,9 @@ from .files import (
     EpisodeLine as EpisodeLine,
     EpisodeWriter as EpisodeWriter,
     episode_lines as episode_lines,
-    lock_holder as lock_holder,
     read_episodes as read_episodes,
     read_records as read_records,
+    whole_file as whole_file,
     write_episodes as write_episodes,
 )
 from .joint import JointEpisode as JointEpisode, Record as Record, record_from_dict as record_from_dict
@@ -31,4 +31,3 @@ from .uncertainty import (
     standard_error as standard_error,
     wilson as wilson,
 )
-from .whole_files import whole_file as whole_file

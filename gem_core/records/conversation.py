@@ -127,8 +127,7 @@ class Conversation:
 
     def __init__(self, episode: Any) -> None:
         self._episode = episode
-        # Records of earlier versions do not say what was sent; they may have had a view.
-        self._viewed = "view" in episode.info or episode.reads is None
+        self._viewed = "view" in episode.info
         self._instructions = self._in_both_wordings()
         self.system = self._system()
         self._history = History(self._turn("", episode.observation, episode.info), self.system)
@@ -167,9 +166,7 @@ class Conversation:
 
     def _explained_once(self, observation: Any) -> Any:
         """Return a text without the explanation of tools if the agent is offered them natively."""
-        if self._instructions is None or observation is None:
-            return observation
-        return _in_native_words(observation, *self._instructions)
+        return observation if self._instructions is None else _replaced(observation, *self._instructions)
 
     def _in_both_wordings(self) -> tuple[str, str] | None:
         told = self._episode.info.get("tool_instructions")
@@ -195,29 +192,25 @@ def call_id(call: object, place: int) -> str:
 
 def _call_as_text(call: Mapping[str, Any]) -> str:
     """Return a native call as it is written in a text; arguments that are no valid JSON stay as they were written."""
-    function = call.get("function", call.get("custom"))
+    function = call.get("function")
     if not isinstance(function, Mapping):
         function = {}
     arguments = function.get("arguments") or "{}"
-    if "input" in function:  # plain text, of a custom tool of the API
-        arguments = json.dumps(to_plain(function["input"]), ensure_ascii=False)
-    elif not isinstance(arguments, str):
+    if not isinstance(arguments, str):
         arguments = json.dumps(to_plain(arguments), ensure_ascii=False)
     name = json.dumps(to_plain(function.get("name", "")), ensure_ascii=False)
     return f'<tool_call>{{"name": {name}, "arguments": {arguments}}}</tool_call>'
 
 
-def _in_native_words(observation: Any, text: str, native: str) -> Any:
-    """Return an observation with its explanation of tools cut down for native calls."""
+def _replaced(observation: Any, text: str, other: str) -> Any:
+    """Return an observation, or its parts or messages, with other words in the place of a text."""
     if isinstance(observation, str):
-        return observation.replace(text, native)
-    return [
-        {**part, **{name: _in_native_words(part[name], text, native) for name in _holders_of_text(part)}}
-        if isinstance(part, Mapping)
-        else part
-        for part in observation
-    ]
-
-
-def _holders_of_text(part: Mapping[str, Any]) -> list[str]:
-    return [name for name in ("text", "content") if isinstance(part.get(name), str | list)]
+        return observation.replace(text, other)
+    if isinstance(observation, list):
+        return [_replaced(part, text, other) for part in observation]
+    if not isinstance(observation, Mapping):
+        return observation
+    return {
+        name: _replaced(value, text, other) if name in ("text", "content") else value
+        for name, value in observation.items()
+    }

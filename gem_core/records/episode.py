@@ -182,7 +182,11 @@ class Episode:
         """
         fields = {name: value for name, value in vars(self).items() if name != "transitions"}
         # Long collections go before they are converted: a data set would take seconds for every episode.
-        fields["kwargs"] = {name: value for name, value in self.kwargs.items() if not _has_many_parts(value)}
+        fields["kwargs"] = {
+            name: value
+            for name, value in self.kwargs.items()
+            if not isinstance(value, Sized) or len(value) <= _LONG_ARGUMENT
+        }
         record = {name: to_plain(value, images) for name, value in fields.items()}
         kept = {name: value for name, value in record["kwargs"].items() if len(str(value)) <= _LONG_ARGUMENT}
         # Files are shared with other people.
@@ -217,16 +221,12 @@ class Episode:
             fields = {name: from_plain(record[name], images) for name in _FIELDS if name in record}
             episode = cls(**fields, transitions=turns)
             episode.return_range = return_range_of(episode.return_range)
-            _unfold(episode)
+            for name, types in _TYPES.items():
+                if not isinstance(getattr(episode, name), types):
+                    raise TypeError(f"{name} is {getattr(episode, name)!r:.100}")
         except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
             raise EpisodeFileError(f"the record of an episode is damaged ({type(error).__name__}: {error})") from error
-        episode._check()
         return episode
-
-    def _check(self) -> None:
-        for name, types in _TYPES.items():
-            if not isinstance(getattr(self, name), types):
-                raise EpisodeFileError(f"the record of an episode is damaged: {name} is {getattr(self, name)!r:.100}")
 
     def __eq__(self, other: object) -> bool:
         """Compare all but durations (``info["episode"]["t"]``), the run that it belongs to, and who acted."""
@@ -253,27 +253,6 @@ def _transition(record: Mapping[str, Any], images: ImageFolder | None) -> Transi
     )
 
 
-def _unfold(episode: Episode) -> None:
-    """Restore observations that earlier versions wrote without the beginning that the one before has as well.
-
-    Raises:
-        ValueError: One repeats more than the one before has, or is of another kind.
-    """
-
-    def restored(observation: Any, before: Any) -> Any:
-        if not isinstance(observation, dict):
-            return observation
-        same, rest = observation["__same__"], observation["rest"]
-        if type(rest) is not type(before) or type(same) is not int or not 0 <= same <= len(before):
-            raise ValueError(f"an observation repeats {same!r} of one that does not have it")
-        return before[:same] + rest
-
-    before = episode.observation
-    for turn in episode.transitions:
-        before = turn.observation = restored(turn.observation, before)
-    episode.final_observation = restored(episode.final_observation, before)
-
-
 def return_range_of(declared: Any) -> tuple[float, float] | None:
     """Return the range of returns that an environment or a record declares.
 
@@ -291,24 +270,16 @@ def return_range_of(declared: Any) -> tuple[float, float] | None:
     return low, high
 
 
-def _has_many_parts(value: object) -> bool:
-    return isinstance(value, Sized) and len(value) > _LONG_ARGUMENT
-
-
 def same_record(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
     """Tell whether two plain records are the same but for durations, their run, and who acted alone."""
-    records = [{**_without_durations(each), "run_seed": None, "agent": None} for each in (first, second)]
-    return bool(records[0] == records[1])
 
+    def compared(part: Any) -> Any:
+        if isinstance(part, list):
+            return list(map(compared, part))
+        if not isinstance(part, dict):
+            return part
+        is_statistics = part.keys() == {"r", "l", "t"}
+        return {name: compared(value) for name, value in part.items() if name != "t" or not is_statistics}
 
-def _without_durations(record: Any) -> Any:
-    if isinstance(record, dict):
-        return {
-            key: {name: part for name, part in value.items() if name != "t"}
-            if key == "episode" and isinstance(value, dict)
-            else _without_durations(value)
-            for key, value in record.items()
-        }
-    if isinstance(record, list):
-        return [_without_durations(value) for value in record]
-    return record
+    known = {"run_seed": None, "agent": None}
+    return bool(compared({**first, **known}) == compared({**second, **known}))

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
-import stat
 import warnings
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import BinaryIO, NamedTuple, Self
 
 from gem_core.errors import EpisodeFileError
 from gem_core.records.episode import Episode
 from gem_core.records.joint import Record, record_from_dict
 from gem_core.records.plain_json import ImageFolder
-from gem_core.records.whole_files import whole_file
 
 _continued: set[Path] = set()
 """Files that runs of this process have been resumed from, and that nobody has written to since."""
@@ -36,7 +32,7 @@ class EpisodeWriter:
             by ``rollout(resume=path)``, is appended to in any case.
 
     Raises:
-        EpisodeFileError: The file cannot be written, or is being written; the message says by which process.
+        EpisodeFileError: The file cannot be written, or is being written.
     """
 
     def __init__(self, path: str | Path, *, append: bool = False) -> None:
@@ -45,27 +41,20 @@ class EpisodeWriter:
         self._images = ImageFolder.beside(self.path)
         self._append = append
         self._begun = False
-        try:
+        with _named(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            # Without a buffer: a line is one system call, which Ctrl-C cannot cut in two.
-            self._file = self.path.open("ab", buffering=0)
-            try:
-                lock_file(self._file.fileno(), self.path)
-            except BaseException:
-                self._file.close()
-                raise
-        except OSError as error:
-            raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
+            self._file = _opened(self.path)
 
     def write(self, episode: Record) -> None:
         """Write one episode, of one agent or of several."""
-        # ASCII only: text of a model may hold lone surrogates, which UTF-8 cannot.
-        try:
-            record = episode.to_dict(self._images)
-        except OSError as error:
-            raise EpisodeFileError(f"cannot write the images of {self.path}: {error.strerror or error}") from error
-        line = json.dumps(record, ensure_ascii=True, allow_nan=False)
-        self._write(line.encode("ascii") + b"\n")
+        with _named(self.path):
+            # ASCII only: text of a model may hold lone surrogates, which UTF-8 cannot.
+            line = json.dumps(episode.to_dict(self._images), allow_nan=False).encode("ascii") + b"\n"
+            self._begin()
+            if not self.count and _is_torn(self.path):
+                line = b"\n" + line
+            while line:
+                line = line[self._file.write(line) :]
         self.count += 1
 
     def rewrite(self, lines: Iterable[bytes]) -> None:
@@ -74,30 +63,11 @@ class EpisodeWriter:
         Raises:
             EpisodeFileError: The file cannot be written; it has not been changed.
         """
-        try:
+        with _named(self.path):
             with whole_file(self.path) as file:
-                for line in lines:
-                    file.write(line.rstrip(b"\n") + b"\n")
-                file.flush()
-                os.fsync(file.fileno())
-                os.fchmod(file.fileno(), os.fstat(self._file.fileno()).st_mode & 0o7777)
-                partial = Path(file.name)
-                renewed = partial.open("ab", buffering=0)
-                lock_file(renewed.fileno(), partial)  # before anybody else can find it under the name of the file
-        except OSError as error:
-            raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
-        self._file.close()
-        self._file = renewed
-
-    def _write(self, data: bytes) -> None:
-        try:
-            self._begin()
-            if not self.count and _is_torn(self.path):
-                data = b"\n" + data
-            while data:
-                data = data[self._file.write(data) :]
-        except OSError as error:
-            raise EpisodeFileError(f"cannot write {self.path}: {error.strerror or error}") from error
+                file.writelines(line.rstrip(b"\n") + b"\n" for line in lines)
+            self._file.close()
+            self._file = _opened(self.path)
 
     def _begin(self) -> None:
         """Empty the file before the first line, unless it is appended to."""
@@ -125,50 +95,59 @@ class EpisodeWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
-def lock_file(descriptor: int, path: Path) -> None:
-    """Lock an open file of records for its writer; the lock ends when the file is closed, or with the process.
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Raise the errors of the system as errors of this file."""
+    try:
+        yield
+    except OSError as error:
+        raise EpisodeFileError(f"cannot write {path}: {error.strerror or error}") from error
 
-    What is no file, as a pipe, is not locked.
+
+def _opened(path: Path) -> BinaryIO:
+    """Open a file to append to it, and lock it; the lock ends when the file is closed, or with the process.
 
     Raises:
-        EpisodeFileError: Another writer has the file; the message names its process, if the system tells.
-        OSError: It cannot be locked, or has been replaced since it was opened.
+        EpisodeFileError: Another writer has the file.
     """
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        return
+    # Without a buffer: a line is one system call, which Ctrl-C cannot cut in two.
+    file = path.open("ab", buffering=0)
     try:
         import fcntl
-    except ImportError:
-        return  # the system has no such locks
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+        if path.is_file():  # and no pipe or device
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
+        file.close()
         raise EpisodeFileError(
-            f"cannot write {path}: {lock_holder(descriptor)} is writing it; wait until it has ended, or name another "
-            "file"
+            f"cannot write {path}: it is being written already; wait until that has ended, or name another file"
         ) from None
-    except OSError as error:
-        if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):  # a file system without locks
-            raise
-    if not os.path.samestat(os.fstat(descriptor), path.stat()):
-        raise OSError(errno.ESTALE, "another process has just replaced it; try again")
+    except (ImportError, OSError):
+        pass  # a system, or a file system, without such locks
+    return file
 
 
-def lock_holder(descriptor: int) -> str:
-    """Return a name for the process that has locked an open file: its number, if the system tells."""
-    number = os.fstat(descriptor).st_ino
-    with suppress(OSError, ValueError, IndexError):  # only Linux tells, and not of every file system
-        for line in Path("/proc/locks").read_text().splitlines():
-            _, kind, _, _, process, place, *_ = line.split()
-            if kind == "FLOCK" and int(place.rpartition(":")[2]) == number and int(process) > 0:
-                return "this process" if int(process) == os.getpid() else f"process {process}"
-    return "another process"
+@contextmanager
+def whole_file(path: Path) -> Iterator[BinaryIO]:
+    """Open a file to write; it replaces what stands under its name when the block ends without an error.
+
+    Readers see the old file or the new one, and a killed process leaves the old one. A symbolic link stays a link.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    path = path.resolve()
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:
+            yield file
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def continue_file(path: str | Path) -> None:
@@ -261,8 +240,8 @@ def _line(number: int, text: bytes, images: ImageFolder | None) -> EpisodeLine:
 
 
 def _is_torn(path: Path) -> bool:
-    if not path.exists() or path.stat().st_size == 0:
+    if not path.stat().st_size:
         return False
     with path.open("rb") as file:
-        file.seek(-1, 2)
+        file.seek(-1, os.SEEK_END)
         return file.read(1) != b"\n"

@@ -123,21 +123,16 @@ class JointEpisode:
         """
         try:
             shared = {name: record[name] for name in _SHARED}
-            started = {**_EMPTY, **{name: record[name] for name in _OF_START}}
-            start = Episode.from_dict({**started, "schema_version": record["schema_version"]}, images)
-            seats = {
-                str(seat): Episode.from_dict({**shared, **episode}, images) for seat, episode in record["seats"].items()
-            }
-            order = [[str(seat) for seat in acted] for acted in record["order"]]
+            empty = {"observation": "", "info": {}, "transitions": []}
+            started = {**shared, **empty, "wrappers": record["wrappers"], "schema_version": record["schema_version"]}
+            start = Episode.from_dict(started, images)
+            seats = {seat: Episode.from_dict({**shared, **each}, images) for seat, each in record["seats"].items()}
+            order = [list(map(str, acted)) for acted in record["order"]]
             if not seats.keys() >= set().union(*order):
                 raise ValueError("the order names a seat without an episode")
-            return cls(
-                seats=seats,
-                agents={str(seat): str(agent) for seat, agent in record["agents"].items()},
-                order=order,
-                failure=record["failure"],
-                **{name: getattr(start, name) for name in _OF_START},
-            )
+            agents = {seat: str(agent) for seat, agent in record["agents"].items()}
+            common = {name: getattr(start, name) for name in _OF_START}
+            return cls(seats=seats, agents=agents, order=order, failure=record["failure"], **common)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise EpisodeFileError(f"the record of an episode is damaged ({type(error).__name__}: {error})") from error
 
@@ -147,8 +142,6 @@ class JointEpisode:
 
     __hash__ = None  # type: ignore[assignment]  # records are mutable
 
-
-_EMPTY: dict[str, Any] = {"observation": "", "info": {}, "transitions": []}
 
 Record = Episode | JointEpisode
 """The record of an episode of one agent, or of several."""

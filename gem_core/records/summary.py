@@ -53,10 +53,8 @@ class EnvSummary:
     _verdicts: int = field(default=0, repr=False)
     _silent: int = field(default=0, repr=False)
     _cut_off: int = field(default=0, repr=False)
-    _spread: float = field(default=0.0, repr=False)
+    _returns: list[float] = field(default_factory=list, repr=False)
     _ranges: set[Range | None] = field(default_factory=set, repr=False)
-    _lowest: float = field(default=float("inf"), repr=False)
-    _highest: float = field(default=-float("inf"), repr=False)
     _pays_success: bool = field(default=True, repr=False)
 
     @property
@@ -79,20 +77,10 @@ class EnvSummary:
         self.cut_off_by_tokens += episode.cut_off == "tokens"
         self.cut_off_by_limits += episode.cut_off not in (None, "turns", "tokens")
         self.turns += episode.turns
-        self._add_return(episode.episode_return)
+        self.total_return += episode.episode_return
+        self._returns.append(episode.episode_return)
         self._ranges.add(episode.return_range)
         self._pays_success &= episode.success is not None and episode.episode_return == episode.success
-        self._judge(episode)
-
-    def _add_return(self, episode_return: float) -> None:
-        # Welford's sum of squared distances from the mean: squares of large returns would swallow small distances.
-        count = self.episodes
-        distance = episode_return - (self.total_return / (count - 1) if count > 1 else 0.0)
-        self.total_return += episode_return
-        self._lowest, self._highest = min(self._lowest, episode_return), max(self._highest, episode_return)
-        self._spread += distance * (episode_return - self.total_return / count)
-
-    def _judge(self, episode: Episode) -> None:
         if episode.success is None:
             self._silent += 1
         elif episode.final_info.get("correct") is None:
@@ -132,12 +120,14 @@ class EnvSummary:
 
         Returns that are 1 for success and else 0 have that of the success rate.
         """
-        if not self.episodes:
+        mean = self.mean_return
+        if mean is None:
             return None
         if self._pays_success:
             return self.success_standard_error
-        within = shared_range(self._ranges, self._lowest, self._highest)
-        return standard_error(self.episodes, self.total_return / self.episodes, max(self._spread, 0.0), within)
+        squares = sum((each - mean) ** 2 for each in self._returns)
+        within = shared_range(self._ranges, min(self._returns), max(self._returns))
+        return standard_error(self.episodes, mean, squares, within)
 
     @property
     def mean_turns(self) -> float | None:

@@ -112,7 +112,7 @@ def test_the_later_of_two_records_of_an_episode_counts(tmp_path: Path, played: l
 
 def test_a_run_has_one_writer(tmp_path: Path) -> None:
     """The same command twice would mix two runs."""
-    with RunWriter(tmp_path / "run"), pytest.raises(ArgumentError, match="process is writing the run"):
+    with RunWriter(tmp_path / "run"), pytest.raises(ArgumentError, match="written already"):
         RunWriter(tmp_path / "run")
 
 

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from gem_core import Episode
 from gem_core.errors import ArgumentError, EpisodeFileError
-from gem_core.records import ImageFolder, lock_holder, to_plain, whole_file
+from gem_core.records import ImageFolder, to_plain, whole_file
 from gem_eval.records.frames import frame_at, frames, pack, unpack
 from gem_eval.records.row import Row
 from gem_eval.records.run import EPISODES_FILE, IMAGES, INDEX_FILE, METRICS_FILE, RUN_FILE
@@ -24,7 +24,7 @@ class RunWriter:
         path: The folder; it is made where it is not there.
 
     Raises:
-        ArgumentError: Another process writes this run; the message names it, where the system tells.
+        ArgumentError: This run is being written already.
         EpisodeFileError: The folder cannot be written.
     """
 
@@ -38,9 +38,8 @@ class RunWriter:
             try:
                 fcntl.flock(self._episodes, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                holder = lock_holder(self._episodes.fileno())
                 self._episodes.close()
-                raise ArgumentError(f"{holder} is writing the run {path}; wait for it, or give --out") from None
+                raise ArgumentError(f"the run {path} is being written already; wait for it, or give --out") from None
             self._index = open(self.path / INDEX_FILE, "ab", buffering=0)  # noqa: SIM115
             self._count = self._mend()
         except OSError as error:
