@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from typing import Any
 
 import pytest
@@ -167,21 +166,6 @@ def test_third_refused_answer_in_a_row_forfeits(env_id: str) -> None:
     assert f"The player {loser!r} gave no valid answer in {TRIES} tries." in infos[winner]["final_obs"]
     assert "rubbish" not in infos[winner]["final_obs"]
     assert infos[loser]["correct"] is False
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_drawing_shows_what_no_seat_must_not_see_only_at_the_end(env_id: str) -> None:
-    """The same for all hidden cards and values, and what each seat did at the end."""
-    env: Any = gem.make(env_id, render_mode="ansi")
-    drawn = set()
-    for seed in range(20):
-        env.reset(seed=seed)
-        drawn.add(re.sub(r"\x1b\[\d+m", "", env.render()))
-    assert len(drawn) == 1 or "Negotiation" in env_id
-    played(env, 0)
-    assert re.search(r"won|lost|drawn|deal", env.render().splitlines()[-1])
-    env.unwrapped.render_mode = None
-    assert env.render() is None
 
 
 @pytest.mark.few(1)

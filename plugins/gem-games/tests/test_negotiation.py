@@ -41,7 +41,7 @@ def act(env: Any, response: str) -> tuple[str, Any]:
 
 def test_accepted_proposal_is_the_deal() -> None:
     """Each is paid by its own values, and learns at the end what the deal is worth to the other."""
-    env = negotiation()
+    env = negotiation(render_mode="ansi")
     observation, _ = act(env, "<say>The hat, please.</say> So \\boxed{propose 1, 1 0}")
     assert observation.endswith(
         'The other player says: "The hat, please." The other player proposes to get books 1, hats 1, balls 0.\n'
@@ -50,21 +50,16 @@ def test_accepted_proposal_is_the_deal() -> None:
         "Turns left: 9 of 10, this one included. Answer with <say></say>, and \\boxed{propose 1 2 0}, "
         "\\boxed{accept} or \\boxed{leave}."
     )
+    assert "worth" not in env.render()
     _, (_, rewards, terminations, _, infos) = act(env, "Yes: \\boxed{accept}")
+    assert "worth to second" in env.render()
+    assert env.render().endswith("deal: first 9, second 8\x1b[0m")
     assert rewards == {"first": 0.9, "second": 0.8}
     assert terminations == {"first": True, "second": True}
     assert infos["first"]["feedback"] == "The other player accepts your proposal."
     assert infos["first"]["suffix"].endswith("the deal is worth 9 to you, and 8 to the other player.")
     assert infos["first"]["correct"] is infos["second"]["correct"] is True
     assert infos["first"]["parsed_action"] == "propose 1 1 0"
-
-
-def test_deal_that_is_worth_nothing_is_no_success() -> None:
-    env = negotiation()
-    act(env, "\\boxed{propose 0 0 3}")
-    _, (_, rewards, _, _, infos) = act(env, "\\boxed{accept}")
-    assert rewards == {"first": 0.0, "second": 0.4}
-    assert [infos[seat]["correct"] for seat in ("first", "second")] == [False, True]
 
 
 def test_proposal_stands_until_the_next_one() -> None:
@@ -128,14 +123,6 @@ def test_message_is_what_stands_between_the_tags() -> None:
     assert "Let me see" not in observation
     observation, _ = act(env, f"<say>{'ha ' * 1_000}</say>")
     assert f'"{("ha " * 1_000)[:LONGEST_MESSAGE]}…"' in observation
-
-
-def test_box_inside_a_message_is_said_and_not_played() -> None:
-    env = negotiation()
-    act(env, "\\boxed{propose 2 1 0}")
-    observation, _ = act(env, "<say>If I say \\boxed{accept}, what then?</say>")
-    assert env.agents
-    assert "\\boxed{accept}, what then?" in observation
 
 
 def test_drawn_deals_are_as_promised() -> None:
@@ -219,15 +206,6 @@ def test_negotiator_reads_a_history_and_is_not_fooled_by_messages() -> None:
         agent("Hello.", None)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="'kind'"):
         load_agent("negotiator:kind")
-
-
-def test_drawing_shows_values_at_the_end() -> None:
-    env = negotiation(render_mode="ansi")
-    act(env, "\\boxed{propose 2 1 0}")
-    assert "worth" not in env.render()
-    act(env, "\\boxed{accept}")
-    assert "worth to second" in env.render()
-    assert env.render().endswith("deal: first 10, second 6\x1b[0m")
 
 
 @pytest.mark.parametrize("max_turns", [1, 101, 4.0, None])

@@ -51,9 +51,3 @@ def test_the_documented_game_is_won_lost_and_drawn(game: type[Game]) -> None:
     lost = env.step("\\boxed{neither}")
     assert (lost[1:3], lost[4]["correct"]) == ((0.0, True), False)
     assert f"It was {env.unwrapped.number}." in lost[0]
-
-
-def test_a_constructor_refuses_what_is_no_flag(game: type[Game]) -> None:
-    """``Game`` checks what is its own."""
-    with pytest.raises(gem.GemError, match="format_error_ends must be True or False, not 3"):
-        game(format_error_ends=3)

@@ -48,17 +48,6 @@ def test_rounds_are_rewarded_one_by_one() -> None:
     assert infos["left"]["correct"] is False
 
 
-def test_choice_waits_for_the_other_seat_unseen() -> None:
-    """A seat whose answer was refused answers alone, and learns nothing of the choice that waits."""
-    env: Any = gem.make("game:RockPaperScissors-v0")
-    env.reset(seed=0)
-    observations, rewards, _, _, infos = env.step({**chosen("lizard", "paper")})
-    assert observations.keys() == rewards.keys() == {"left"}
-    assert infos["left"]["feedback"] == "'lizard' is not one of rock, paper and scissors. Tries left: 2."
-    _, rewards, *_ = env.step({"left": "\\boxed{scissors}"})
-    assert rewards == {"left": 1.0, "right": -1.0}
-
-
 def test_forfeit_loses_all_rounds() -> None:
     """Also those that were won; if both forfeit at once, nobody wins."""
     env: Any = gem.make("game:RockPaperScissors-v0", rounds=3)
@@ -86,18 +75,6 @@ def test_best_response_beats_what_is_most_likely() -> None:
         Fraction(1, 4),
     )
     assert best_response(dict.fromkeys(MOVES, third))[1] == 0
-
-
-def test_random_player_is_the_equilibrium() -> None:
-    """Each choice is as likely as the others, and independent of the other seat's."""
-    env: Any = gem.make("game:RockPaperScissors-v0")
-    pairs = []
-    for seed in range(3_600):
-        env.reset(seed=seed)
-        pairs.append(tuple(env.sample_random_action(seat) for seat in env.acting))
-    assert len(set(pairs)) == 9
-    assert max(map(pairs.count, set(pairs))) < 500
-    assert min(map(pairs.count, set(pairs))) > 300
 
 
 @pytest.mark.parametrize("rounds", [0, 101, 2.0, True, None])

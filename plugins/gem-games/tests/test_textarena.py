@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
-import json
+import importlib.util
 import os
 import random
 import subprocess
@@ -22,7 +22,7 @@ from gem_core.testing import check_env
 from gem_games.textarena.env import TextArenaEnv
 from gem_games.textarena.games import GAMES
 from gem_games.textarena.listing import CLOSED, EXTRA, textarena_specs
-from gem_games.textarena.moves import NO_MOVE, SAMPLERS, random_move
+from gem_games.textarena.moves import NO_MOVE, SAMPLERS
 from gem_games.textarena.table import TALK
 
 EVERY = bool(os.environ.get("GEM_EVERY_TEXTARENA_GAME"))
@@ -35,14 +35,6 @@ OWN = "<think>Hidden thoughts.</think>I reason SELFISHLY for long here."
 OTHER = "<think>Hidden thoughts.</think>I reason OTHERWISE for long here."
 HEARD = {*TALK, "SettlersOfCatan", "TwoDollar"}
 """Families in which what is said is part of the game."""
-NOT_KNOWN = {"Crosswords", "Minesweeper", "Sudoku"}
-"""Games that take what is wrong for invalid, which a player cannot know."""
-COMES_TO_NOTHING = {"IndianPoker", "SpellingBee", "WordChains"}
-"""Games that can come to where nothing is valid within twenty turns."""
-TRIED_ELSEWHERE = {
-    "process-determinism": "tried for all games in one other process",
-    "hostile-actions": "test_hostile_actions_are_answered tries some",
-}
 HOSTILE = [
     "",
     "[" * 1_000_000,
@@ -51,21 +43,16 @@ HOSTILE = [
     "[" + "9" * 3_000 + "]",
     "\ud800[\udfff]",
     "\x00[\x00]",
-    "[\u0661]",
-    "[9**9**9**9]",
-    "[-1 -1]",
-    "[1 1 99999999999999]",
-    "[Offer: 99999999999999 Wood -> 1 Wheat]",
 ]
-_EPISODES = """
-import json, sys
-from gem_games.textarena.env import TextArenaEnv
-logs = {}
-for kwargs, actions in json.load(sys.stdin):
-    env = TextArenaEnv(**kwargs)
-    logs[kwargs["game"]] = [env.reset(seed=7)[0], *(list(env.step(action)[:4]) for action in actions)]
-print(json.dumps(logs))
-"""
+HOSTILE += ["[\u0661]", "[9**9**9**9]", "[-1 -1]", "[1 1 99999999999999]", "[Offer: 99999999999999 Wood -> 1 Wheat]"]
+NOT_KNOWN = {"Crosswords", "Minesweeper", "Sudoku"}
+"""Games that take what is wrong for invalid, which a player cannot know."""
+COMES_TO_NOTHING = {"IndianPoker", "SpellingBee", "WordChains"}
+"""Games that can come to where nothing is valid within twenty turns."""
+TRIED_ELSEWHERE = {
+    "process-determinism": "tried for all games in one other process",
+    "hostile-actions": "test_hostile_actions_are_answered tries some",
+}
 
 
 def family(spec: Any) -> str:
@@ -76,34 +63,7 @@ def test_the_table_matches_the_installed_library():
     from textarena.envs.registration import ENV_REGISTRY
 
     assert list(GAMES) == [name for name in ENV_REGISTRY if not name.endswith(("-raw", "-train"))]
-
-
-@pytest.mark.thorough
-def test_each_runnable_game_is_the_same_in_another_process():
-    """With another hash seed the same actions give the same observations and rewards; nothing is an error."""
-    logs, asked = {}, []
-    for spec in RUNNABLE:
-        env = TextArenaEnv(**spec.kwargs)
-        observation, info = env.reset(seed=7)
-        log, actions = [observation], []
-        while len(actions) < 2:
-            actions.append(env.sample_random_action())
-            *result, info = env.step(actions[-1])
-            log.append(result)
-            assert "error" not in info, (spec.id, info)
-            if result[2] or result[3]:
-                break
-        logs[spec.kwargs["game"]] = log
-        asked.append((dict(spec.kwargs), actions))
-    done = subprocess.run(
-        [sys.executable, "-c", _EPISODES],
-        input=json.dumps(asked),
-        env={**os.environ, "PYTHONHASHSEED": "12345"},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert json.loads(done.stdout) == json.loads(json.dumps(logs))
+    assert {family(spec) for spec in RUNNABLE} <= set(SAMPLERS)
 
 
 @pytest.mark.parametrize("game", ["KuhnPoker-v0", "Secretary-v0", "IteratedStagHunt-v0-randomized", "SpellingBee-v0"])
@@ -131,7 +91,7 @@ def test_a_closed_game_says_why(env_id: str, family: str) -> None:
 
 def test_without_the_extra_make_says_what_to_install(monkeypatch):
     """The ids stay listed; each says the command that brings TextArena."""
-    version = importlib.metadata.version
+    version, find = importlib.metadata.version, importlib.util.find_spec
 
     def without_textarena(name):
         if name == "textarena":
@@ -139,6 +99,7 @@ def test_without_the_extra_make_says_what_to_install(monkeypatch):
         return version(name)
 
     monkeypatch.setattr(importlib.metadata, "version", without_textarena)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "textarena" else find(name))
     with pytest.raises(MissingRequirementError, match=r"gem-games\[textarena\]"):
         make("ta:TicTacToe-v0")
 
@@ -188,53 +149,6 @@ def test_hostile_actions_are_answered(spec: Any) -> None:
         assert isinstance(reward, float)
         assert "error" not in info
         assert not truncated
-
-
-def played(env: TextArenaEnv, seed: int, actions: list[str]) -> Any:
-    """Begin an episode, and give a result for each action; a generator, so that others can play in between."""
-    yield env.reset(seed=seed)[0]
-    for action in actions:
-        result = env.step(action)[:4]
-        yield result
-        if result[2] or result[3]:
-            return
-
-
-@pytest.mark.thorough
-def test_games_do_not_disturb_each_other() -> None:
-    """Two of each family are played turn about with all others, and with code that draws from the global generators."""
-    alone, asked = {}, {}
-    for spec in FIRST:
-        for seed in (3, 4):
-            env = TextArenaEnv(**spec.kwargs)
-            log: list[Any] = [env.reset(seed=seed)[0]]
-            actions: list[str] = []
-            while len(actions) < 2 and not (len(log) > 1 and (log[-1][2] or log[-1][3])):
-                actions.append(env.sample_random_action())
-                log.append(env.step(actions[-1])[:4])
-            alone[spec.id, seed], asked[spec.id, seed] = log, actions
-    together: dict[Any, list[Any]] = {key: [] for key in asked}
-    games = {
-        key: played(TextArenaEnv(**gem.spec(key[0]).kwargs), key[1], actions)
-        for key, actions in sorted(asked.items(), reverse=True)
-    }
-    expected, expected_numpy = random.Random(5), np.random.RandomState(5)
-    ours, ours_numpy = random.getstate(), np.random.get_state()
-    random.setstate(expected.getstate())
-    np.random.set_state(expected_numpy.get_state())
-    try:
-        while games:
-            for key in list(games):
-                try:
-                    together[key].append(next(games[key]))
-                except StopIteration:
-                    del games[key]
-                assert random.random() == expected.random()
-                assert np.random.random() == expected_numpy.random()
-    finally:
-        random.setstate(ours)
-        np.random.set_state(ours_numpy)
-    assert together == alone
 
 
 def test_the_guide_names_the_closed_games() -> None:
@@ -290,39 +204,10 @@ def test_random_players_make_no_invalid_moves(spec, refused):
         assert refused == []
 
 
-def test_every_game_that_can_be_made_has_a_sampler():
-    made = {spec.kwargs["game"].partition("-")[0] for spec in RUNNABLE}
-    assert made - set(SAMPLERS) == set()
-
-
-@pytest.mark.parametrize("game", ["Chess-v0", "Wordle-v0", "LiarsDice-v0", "TwoDollar-v0", "Mastermind-v0"])
-def test_a_move_depends_on_the_generator_alone(game):
-    env = TextArenaEnv(**next(dict(spec.kwargs) for spec in RUNNABLE if spec.kwargs["game"] == game))
-    env.reset(seed=3)
-    before = random.getstate()
-    drawn = [random_move(env.table, random.Random(seed)) for seed in range(20)]
-    assert drawn == [random_move(env.table, random.Random(seed)) for seed in range(20)]
-    assert random.getstate() == before
-    assert len(set(drawn)) > 1
-
-
 @pytest.mark.parametrize("game", ["Sudoku-v0-easy", "Crosswords-v0", "Minesweeper-v0"])
 def test_the_random_player_does_not_know_the_solution(game, refused):
     assert not any(_play(TextArenaEnv(game), seed=seed, turns=100)["correct"] for seed in range(5))
     assert refused or game == "Minesweeper-v0"
-
-
-def test_random_snakes_keep_off_walls_and_bodies_while_they_can():
-    env = TextArenaEnv("Snake-v0", players=2)
-    env.reset(seed=1)
-    game = env.table.game
-    own, other = game.state.game_state["snakes"].values()
-    own.positions, other.positions = type(own.positions)([(0, 0)]), type(own.positions)([(5, 5)])
-    assert SAMPLERS["Snake"](game, random.Random(1)) == ["[up]", "[right]"]
-    other.positions = type(own.positions)([(1, 0), (1, 1)])
-    assert SAMPLERS["Snake"](game, random.Random(1)) == ["[up]"]
-    own.positions = type(own.positions)([(0, 0), (0, 1)])
-    assert len(SAMPLERS["Snake"](game, random.Random(1))) == 4
 
 
 def test_where_nothing_is_valid_the_game_ends(refused):

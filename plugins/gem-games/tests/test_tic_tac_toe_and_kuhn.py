@@ -172,6 +172,18 @@ def test_exploitability_of_other_strategies() -> None:
     assert exploitability(even) == Fraction(11, 24)
 
 
+def test_solvers_refuse_other_games() -> None:
+    board = gem.make("game:TicTacToe-v0").reset(seed=0)[0]["X"]
+    hand = gem.make("game:KuhnPoker-v0").reset(seed=0)[0]["first"]
+    assert load_agent("kuhn:1/4")(hand, context()) in ("\\boxed{check}", "\\boxed{bet}")
+    for name, observation in (("kuhn", board), ("tictactoe", hand)):
+        with pytest.raises(AgentError, match=name if name == "tictactoe" else "game:X-v0"):
+            load_agent(name)(observation, context())
+    for alpha in ("0.4", "-1", "nan", "a third"):
+        with pytest.raises(ArgumentError, match="alpha"):
+            KuhnAgent(alpha)
+
+
 def test_kuhn_agent_plays_the_equilibrium() -> None:
     """In each of the twelve places it puts in a chip as often as it should, over many episodes."""
     agent = KuhnAgent("1/4")
@@ -183,17 +195,3 @@ def test_kuhn_agent_plays_the_equilibrium() -> None:
         assert set(answers) <= {f"\\boxed{{{move}}}" for move in legal_moves(history)}
         share = sum(answer in ("\\boxed{bet}", "\\boxed{call}") for answer in answers) / len(answers)
         assert share == pytest.approx(float(chip), abs=0 if chip in (0, 1) else 0.04)
-
-
-def test_solvers_are_found_by_name_and_refuse_other_games() -> None:
-    """Each plays one game, and what cannot be an argument is an error."""
-    board = gem.make("game:TicTacToe-v0").reset(seed=0)[0]["X"]
-    hand = gem.make("game:KuhnPoker-v0").reset(seed=0)[0]["first"]
-    assert load_agent("kuhn:1/4")(hand, context()) in ("\\boxed{check}", "\\boxed{bet}")
-    with pytest.raises(AgentError, match="game:X-v0"):
-        load_agent("kuhn")(board, context())
-    with pytest.raises(AgentError, match="tictactoe"):
-        load_agent("tictactoe")(hand, context())
-    for alpha in ("0.4", "-1", "nan", "a third"):
-        with pytest.raises(ArgumentError, match="alpha"):
-            KuhnAgent(alpha)

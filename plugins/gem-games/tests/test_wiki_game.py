@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from game_solvers import box
 
 import gem_core as gem
 from gem_core.errors import AgentError, ArgumentError
-from gem_core.testing import check_env
 from gem_games.cheap_random import CheapRandom
 from gem_games.wiki.agent import WikiGameAgent
-from gem_games.wiki.articles import Articles, load_articles
-from gem_games.wiki_game import VARIANTS, WikiGameEnv
+from gem_games.wiki.articles import load_articles
+from gem_games.wiki_game import WikiGameEnv
 
 SMALL = Path(__file__).with_name("small_articles.jsonl")
 """Sea → Coast → Sand → Goal → Sea; also River, Beach bar, and End, from which no link leads."""
@@ -26,10 +26,6 @@ def small_game(variant: str = "noregrets", max_turns: int = 10, **kwargs: Any) -
     env = WikiGameEnv(max_turns, variant, articles=SMALL, **kwargs)
     env.reset(seed=0, options=PAIR)
     return env
-
-
-def says(title: str) -> str:
-    return f"Let us take \\boxed{{{title}}}."
 
 
 @pytest.mark.parametrize(
@@ -51,7 +47,7 @@ def says(title: str) -> str:
 def test_rewards_of_a_way(variant: str, titles: list[str], rewards: list[float], end: str) -> None:
     """The game is over at the target, and without regrets at an article without links."""
     env = small_game(variant)
-    results = [env.step(says(title)) for title in titles]
+    results = [env.step(box(title)) for title in titles]
     assert [result[1] for result in results] == rewards
     assert env.path[-1].title == end
     assert results[-1][2] == (end == "Goal" or (variant, end) == ("noregrets", "End"))
@@ -70,27 +66,20 @@ def test_opening_says_what_a_player_must_know() -> None:
 def test_wrong_title_names_the_nearest_link() -> None:
     env = small_game()
     for answer, meant in {"Moon": None, "coast": "'Coast'", "Riv": "'River'"}.items():
-        _, _, _, _, info = env.step(says(answer))
+        _, _, _, _, info = env.step(box(answer))
         assert info["parsed_action"] is None
         assert (f"Did you mean {meant}?" in info["feedback"]) == (meant is not None)
-
-
-@pytest.mark.parametrize("response", ["no box", "\\boxed{}", "\\boxed{ }", "\\boxed{Coast"])
-def test_format_error_costs_a_turn_and_ends_nothing(response: str) -> None:
-    """Unlike in the other games, unless it is asked to end the game."""
-    assert small_game().step(response)[1:4] == (-0.2, False, False)
-    assert small_game(format_error_ends=True).step(response)[1:4] == (-0.2, True, False)
 
 
 @pytest.mark.parametrize(
     ("response", "reward"),
     [
-        (says("River"), 0.0),
-        (says("Moon"), 0.0),
+        (box("River"), 0.0),
+        (box("Moon"), 0.0),
         ("no box", -0.2),
-        (says(BACK), -0.2),
-        (says("<LINKS 1>"), 0.0),
-        (says("Coast"), 0.0),
+        (box(BACK), -0.2),
+        (box("<LINKS 1>"), 0.0),
+        (box("Coast"), 0.0),
     ],
 )
 def test_last_turn_terminates_and_tells_the_way(response: str, reward: float) -> None:
@@ -101,35 +90,34 @@ def test_last_turn_terminates_and_tells_the_way(response: str, reward: float) ->
 
 def test_target_wins_in_the_last_turn_and_without_links() -> None:
     env = small_game(max_turns=3)
-    assert [env.step(says(title))[1] for title in ("Coast", "Sand", "Goal")] == [-0.05, -0.05, 1.0]
+    assert [env.step(box(title))[1] for title in ("Coast", "Sand", "Goal")] == [-0.05, -0.05, 1.0]
     env = small_game(max_turns=3)
     env.reset(seed=0, options={"start": "Sea", "target": "End"})
-    assert env.step(says("End"))[1:3] == (1.0, True)
+    assert env.step(box("End"))[1:3] == (1.0, True)
 
 
 @pytest.mark.parametrize("max_turns", [1, 2, 3])
 def test_dead_end_costs_two_turns(max_turns: int) -> None:
     env = small_game("freenav", max_turns, min_distance=1)
-    assert env.step(says("End"))[1:3] == (-0.1, max_turns < 3)
+    assert env.step(box("End"))[1:3] == (-0.1, max_turns < 3)
     assert env.turn == min(2, max_turns)
-
-
-def test_eidetic_shows_every_link_seen() -> None:
-    env = small_game("eidetic")
-    env.step(says("Coast"))
-    assert "follow:\n- Sea\n- Beach bar\n- Sand\n- Coast\n- End\n- River\n" in env.step("no box")[0]
 
 
 def test_long_lists_of_links_come_in_parts() -> None:
     """Turning to another part costs a turn; a link can be taken from any of them."""
     env = small_game(links_per_part=2)
     assert "- Coast\n- End\nTurns" in env.reset(seed=0, options=PAIR)[0]
-    observation, reward, _, _, info = env.step(says("<LINKS 2>"))
+    observation, reward, _, _, info = env.step(box("<LINKS 2>"))
     assert (reward, info["parsed_action"]) == (-0.05, "<LINKS 2>")
     assert "3 links in all; \\boxed{<LINKS 1>} shows part 1 and costs a turn):\n- River\nTurns" in observation
-    assert env.step(says("<LINKS 3>"))[1] == -0.2
-    assert env.step(says("Coast"))[1] == -0.05
+    assert env.step(box("<LINKS 3>"))[1] == -0.2
+    assert env.step(box("Coast"))[1] == -0.05
     assert env.part == 1
+    assert env.gold_action() == "\\boxed{Sand}"
+    dead = small_game("eidetic")
+    dead.step(box("End"))
+    assert dead.gold_action() is None  # the target is out of reach
+    assert len(dead.step(box("x_" * 2_500_000))[0]) < 1_500
 
 
 @pytest.mark.parametrize(
@@ -142,14 +130,14 @@ def test_long_lists_of_links_come_in_parts() -> None:
     ],
 )
 def test_page_summary_length(length: Any, shown: str) -> None:
-    assert f"Coast.\n{shown}\nLinks" in small_game(page_summary_length=length).step(says("Coast"))[0]
+    assert f"Coast.\n{shown}\nLinks" in small_game(page_summary_length=length).step(box("Coast"))[0]
 
 
 def test_drawing_shows_the_way() -> None:
     env = small_game()
     env.render_mode = "ansi"
-    env.step(says("Coast"))
-    env.step(says("Sand"))
+    env.step(box("Coast"))
+    env.step(box("Sand"))
     assert "Sea → Coast → \x1b[0m\x1b[1mSand\x1b[0m   (target: \x1b[32mGoal" in str(env.render())
 
 
@@ -186,18 +174,6 @@ def test_options_name_two_articles(options: dict[str, str], value: str) -> None:
         env.reset(seed=0, options=options)
 
 
-def test_options_hold_for_one_game() -> None:
-    env = small_game()
-    assert {env.reset(seed=seed) and (env.start, env.target) for seed in range(9)} != {("Sea", "Goal")}
-
-
-def test_target_out_of_reach_has_no_gold_action() -> None:
-    env = small_game("eidetic")
-    assert env.gold_action() == "\\boxed{Coast}"
-    env.step(says("End"))
-    assert env.gold_action() is None
-
-
 # The articles.
 
 
@@ -216,15 +192,6 @@ def test_shipped_articles_are_one_web() -> None:
         assert reached == set(links)
 
 
-def test_articles_are_read_from_their_lines() -> None:
-    articles = Articles(SMALL.read_text().splitlines())
-    goal = articles.article("Goal")
-    assert (goal.text, goal.links) == ("This is the goal, and the Sea.", ("Sea",))
-    assert articles.article("End").links == ()
-    assert articles.way("Sea", "Goal") == ["Sea", "Coast", "Sand", "Goal"]
-    assert articles.way("Sea", "Sea") == ["Sea"]
-
-
 def test_pairs_have_the_wanted_distance() -> None:
     """A start without such a target is passed over."""
     articles = load_articles(str(SMALL))
@@ -237,11 +204,6 @@ def test_pairs_have_the_wanted_distance() -> None:
 
 
 # The ids, and the solver.
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_every_variant_keeps_the_contract(variant: str) -> None:
-    check_env(gem.make("game:WikiGame-v0-random", variant=variant))
 
 
 @pytest.mark.parametrize(
@@ -273,14 +235,3 @@ def test_solver_refuses_what_it_does_not_know() -> None:
     for env in (gem.make("game:GuessTheNumber-v0"), small_game()):
         with pytest.raises(AgentError):
             WikiGameAgent()(env.reset(seed=0)[0])
-
-
-@pytest.mark.parametrize(
-    "answer", ["\x00", "\ud800", "<LINKS 999999999999999999>", "<LINKS" + " " * 1_000_000 + "2>", "x_" * 2_500_000]
-)
-def test_hostile_titles_are_answered_briefly(answer: str) -> None:
-    env = gem.make("game:WikiGame-v0-easy", variant="eidetic")
-    env.reset(seed=0)
-    observation, reward, terminated, *_ = env.step(f"\\boxed{{{answer}}}")
-    assert len(observation.encode()) < 1_500
-    assert (reward, terminated) == (-0.2, False)
