@@ -139,7 +139,7 @@ def test_filter_and_map_by_function_and_by_name(lines: Path) -> None:
     assert list(load_rows(ROWS, row_filter=f"{__name__}:is_easy")) == ROWS[::3]
     with pytest.raises(EntryPointError, match="'is_eazy'"):
         load_rows(lines, row_filter=f"{__name__}:is_eazy")
-    with pytest.raises(ArgumentError, match=r"row_filter .* not 3"):
+    with pytest.raises(DatasetError, match=r"row_filter .*'int'"):
         load_rows(lines, row_filter=3)  # type: ignore[arg-type]
 
 

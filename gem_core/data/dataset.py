@@ -217,10 +217,7 @@ class DatasetEnv(Env):
         return None if answer is None or not str(answer).strip() else boxed_or_tagged(str(answer))
 
     def _take(self, index: int) -> None:
-        try:
-            row = self.rows[index]
-        except (TypeError, KeyError) as error:
-            raise DatasetError(f"rows must be a sequence of mappings, not {type(self.rows).__name__}") from error
+        row = self.rows[index]
         if not isinstance(row, Mapping):
             raise DatasetError(f"row {index} must map columns to values, and is of type {type(row).__name__}")
         for key in (self.question_key, self.answer_key, self.id_key):

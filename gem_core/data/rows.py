@@ -72,7 +72,8 @@ def load_rows(
         EntryPointError: A function that is given by name is not there.
         ArgumentError: A value that is not accepted.
     """
-    keep, change = _function(row_filter, "row_filter"), _function(map_row, "map_row")
+    keep = None if row_filter is None else load_entry_point(row_filter, "row_filter")
+    change = None if map_row is None else load_entry_point(map_row, "map_row")
     rows: Sequence[Row]
     if isinstance(source, str | os.PathLike):
         path = _local_path(source)
@@ -135,14 +136,6 @@ def _call_with_row(what: str, function: Callable[[Row], Any], rows: Sequence[Row
         return function(row)
     except Exception as error:  # a user's function may raise anything
         raise DatasetError(f"{what} failed on row {index}: {shown_error(error)}. The row: {row!r:.200}") from error
-
-
-def _function(given: RowFunction | None, what: str) -> Callable[[Row], Any] | None:
-    if given is None or callable(given):
-        return given
-    if not isinstance(given, str) or ":" not in given:
-        raise ArgumentError(f"{what} must be a function or 'package.module:function', not {given!r}")
-    return load_entry_point(given, what)
 
 
 def _local_path(source: str | os.PathLike[str]) -> Path | None:

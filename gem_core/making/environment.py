@@ -11,13 +11,12 @@ import gymnasium
 
 from gem_core.arguments import check_arguments, takes_keyword
 from gem_core.env.base import Env
-from gem_core.env.checks import check_seats
 from gem_core.env.guard import Guard
 from gem_core.env.multi_agent import MultiAgentEnv
 from gem_core.env.seats import SeatWrappers
 from gem_core.env.wrapper import AnyEnv, Wrapper
 from gem_core.errors import ArgumentError, RegistrationError
-from gem_core.making.layers import Wrappers, asked_for, check_options, layers_of
+from gem_core.making.layers import Wrappers, asked_for, layers_of
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.requirements import check_requirements
 from gem_core.registry.specs import EnvSpec
@@ -200,21 +199,3 @@ def wrap(env: AnyEnv, wrappers: Wrappers) -> AnyEnv:
         if layer.record is not None and isinstance(env, Wrapper):
             env.registered_as = (layer.record.name, layer.options)
     return env
-
-
-def check_choices(record: EnvSpec, kwargs: Mapping[str, Any], *wrappers: Wrappers) -> None:
-    """Raise an error for an unknown keyword or option, as ``make_from`` would, before anything is made.
-
-    Raises:
-        ArgumentError: A keyword that the environment, or an option that a wrapper or a tool, does not have.
-        EntryPointError: What a record points to cannot be imported.
-    """
-    if kwargs:
-        owner = f"environment {record.id!r}"
-        arguments = {name: value for name, value in {**record.kwargs, **kwargs}.items() if name != "render_mode"}
-        check_arguments(load_entry_point(record.entry_point, owner), (), arguments, owner)
-    for stack in wrappers:
-        if isinstance(stack, Mapping) and record.seats:
-            check_seats(stack, record.seats)
-        if stack != ():
-            check_options(stack)

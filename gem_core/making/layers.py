@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
-from gem_core.arguments import check_arguments, parse_choice
+from gem_core.arguments import parse_choice
 from gem_core.errors import ArgumentError
 from gem_core.registry.choices import parsed_choices
-from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import EntryPoint, NamedSpec, ToolSpec
 
@@ -103,14 +102,6 @@ def layers_of(wrappers: Stack) -> list[Layer]:
     if gathered is not None and not gathered["tools"]:
         raise ArgumentError("options for tools are given, and no tool; name some, as in 'python,tools'")
     return layers
-
-
-def check_options(wrappers: Wrappers) -> None:
-    """Raise an error for an unknown wrapper, tool or option, before anything is made."""
-    for layer in asked_for(wrappers):
-        if layer.record is not None and layer.options and layer.target != _TOOLS:
-            args = () if isinstance(layer.record, ToolSpec) else (None,)  # a wrapper takes the environment
-            check_arguments(load_entry_point(layer.entry_point, layer.owner), args, layer.options, layer.owner)
 
 
 def wrapper_targets(wrappers: Wrappers) -> list[Target]:

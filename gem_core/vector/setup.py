@@ -9,7 +9,7 @@ from typing import Any, Literal, cast, get_args
 from gem_core.arguments import parse_choice
 from gem_core.env.wrapper import AnyEnv, concurrency_of, most_demanding
 from gem_core.errors import ArgumentError
-from gem_core.making.environment import check_choices, make_from
+from gem_core.making.environment import make_from
 from gem_core.making.layers import Wrappers, wrapper_targets
 from gem_core.records.plans import PlanItem
 from gem_core.registry.entry_points import load_entry_point
@@ -79,8 +79,7 @@ class VectorSetup:
         """Return the setup for ids, which are assigned to the slots in turn; see ``make_vec``.
 
         Raises:
-            ArgumentError: There is no id, or one is neither ``id`` nor ``(id, {keyword: value})``; or a keyword
-                argument or an option of a wrapper does not exist.
+            ArgumentError: There is no id, or one is neither ``id`` nor ``(id, {keyword: value})``.
             UnknownEnvError: There is no such environment.
         """
         if not isinstance(ids, Iterable):
@@ -99,8 +98,7 @@ class VectorSetup:
         for env_id, kwargs in entries:
             if (env_id, kwargs) not in setup.entries:
                 setup.entries.append((env_id, kwargs))
-                record = setup.records[env_id] = registry().env(env_id)
-                check_choices(record, *setup.arguments(kwargs))
+                setup.records[env_id] = registry().env(env_id)
         return setup
 
     def arguments(self, overrides: Mapping[str, Any]) -> tuple[dict[str, Any], Wrappers, Wrappers]:
