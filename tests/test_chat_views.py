@@ -16,7 +16,7 @@ from gem_core.env.observations import texts_of
 from gem_core.errors import ArgumentError
 from gem_core.tools.env import ToolEnv
 from gem_core.wrappers.chat import ConcatChat, MessagesView
-from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView
+from gem_core.wrappers.views import Concat, ConcatWithAction
 
 
 class Template:
@@ -52,37 +52,6 @@ def test_messages_are_a_chat() -> None:
         {"role": "assistant", "content": "b"},
         {"role": "user", "content": "You said 'b'.\nLeft: 98."},
     ]
-
-
-def test_the_system_message_of_a_task_is_taken() -> None:
-    """From ``info["system"]``."""
-
-    class WithSystem(EchoEnv):
-        def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-            observation, info = super().reset(seed, options)
-            return observation, {**info, "system": "You echo."}
-
-    assert MessagesView(WithSystem()).reset()[0][0] == {"role": "system", "content": "You echo."}
-
-
-def test_native_calls_are_answered_under_their_ids() -> None:
-    """Assistant message with its calls, then one tool message for each; a text call is answered as the user."""
-    env = MessagesView(ToolEnv(CountdownEnv(), [Notebook()]))
-    env.reset(seed=1, options={"left": 9})
-    calls = [
-        {"id": f"c{n}", "type": "function", "function": {"name": "note", "arguments": json.dumps({"line": f"l{n}"})}}
-        for n in range(2)
-    ]
-    chat = env.step(gem.Response("thinking", tool_calls=calls))[0]
-    assert chat[1] == {"role": "assistant", "content": "thinking", "tool_calls": calls}
-    assert [(m["role"], m["tool_call_id"], m["content"]) for m in chat[2:]] == [
-        ("tool", "c0", "l0"),
-        ("tool", "c1", "l0\nl1\nTool calls left: 3. Call a tool again, or give your answer."),
-    ]
-    chat = env.step("<note>x</note>")[0]
-    assert chat[-1]["role"] == "user"
-    assert chat[-1]["content"].startswith("Output of note:\nl0\nl1\nx\n")
-    assert "tool_calls" not in chat[-2]
 
 
 def test_concat_chat_appends_the_raw_response_and_the_bridge() -> None:
@@ -122,28 +91,18 @@ CHAT = [
     MessagesView,
     lambda env: MessagesView(env, max_turns=2),
     lambda env: ConcatChat(env, Template()),
-    lambda env: ConcatChat(env, Template(), drop_thinking=True),
 ]
 
 
-@pytest.mark.parametrize("make", [*CHAT, Latest, Concat, ConcatWithAction])
+@pytest.mark.parametrize("make", CHAT)
 @given(actions=st.lists(st.text(max_size=10), min_size=3, max_size=5))
 def test_append_only_is_kept(make: Any, actions: list[str]) -> None:
-    """A view that declares it extends the previous observation and the raw response; the others need not."""
+    """A view that declares it extends the previous observation and the raw response, and one with a limit does not."""
     view = make(CountdownEnv())
     observations = played(view, actions)
-    if view.append_only:
-        assert all(map(extends, observations, actions, observations[1:]))
-
-
-def test_what_drops_is_not_append_only() -> None:
-    """It does not declare it, and rightly so; the chat views without options do, for single-sequence trainers."""
-    view = MessagesView(CountdownEnv(), max_turns=2)
-    observations = played(view, ["a", "b", "c"])
-    assert not view.append_only
-    assert not all(map(extends, observations, "abc", observations[1:]))
-    assert MessagesView(EchoEnv()).append_only
-    assert ConcatChat(EchoEnv(), Template()).append_only
+    assert view.append_only == (view.max_turns is None)
+    assert all(map(extends, observations, actions, observations[1:])) == view.append_only
+    assert view.observation_space.contains(observations[-1])
 
 
 def words(text: str) -> int:
@@ -176,6 +135,7 @@ def test_a_context_that_overflows_truncates_and_is_scored() -> None:
         (lambda: Concat(CountdownEnv(), max_tokens=3, count_tokens=words).reset(), "4 tokens, and max_tokens is 3"),
         (lambda: Concat(EchoEnv(), max_tokens=3), "count_tokens"),
         (lambda: Concat(EchoEnv(), max_tokens=0, count_tokens=words), "max_tokens"),
+        (lambda: Concat(EchoEnv(), max_turns="3"), "max_turns"),  # type: ignore[arg-type]  # that is the point
         (lambda: ConcatChat(EchoEnv(), object()), "apply_chat_template"),
     ],
 )
@@ -192,14 +152,6 @@ def test_a_fork_shows_the_same_chat(make: Any) -> None:
     played(view, ["a", "b"])
     other = view.fork()
     assert other.step("c") == view.step("c")
-
-
-def test_views_are_in_their_space() -> None:
-    """A list of messages is no text."""
-    view: ObservationView = MessagesView(EchoEnv())
-    assert view.observation_space.contains(view.reset()[0])
-    text_view = ConcatChat(EchoEnv(), Template())
-    assert text_view.observation_space.contains(text_view.reset()[0])
 
 
 def test_native_calls_count_towards_the_budget() -> None:
@@ -235,13 +187,3 @@ def test_calls_without_a_usable_id_are_answered_all_the_same(given: dict[str, An
     *_, assistant, first, second = env.step(gem.Response("", tool_calls=[call, {**call, "id": "b"}]))[0]
     ids = [called["id"] for called in assistant["tool_calls"]]
     assert ids == [first["tool_call_id"], second["tool_call_id"]] == ["5" if given.get("id") else "call_0", "b"]
-
-
-@pytest.mark.parametrize("value", [float("nan"), object(), {1, 2}])
-def test_arguments_that_are_no_json_are_told_to_the_agent(value: object) -> None:
-    """``info`` stays plain JSON, whatever an agent of one's own hands over."""
-    env = ToolEnv(CountdownEnv(), [Notebook()])
-    env.reset(seed=1, options={"left": 100})
-    call = {"id": "a", "type": "function", "function": {"name": "note", "arguments": {"line": value}}}
-    info = env.step(gem.Response("", tool_calls=[call]))[4]
-    assert "no valid JSON" in json.dumps(info, allow_nan=False)

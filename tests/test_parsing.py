@@ -9,16 +9,13 @@ from hypothesis import strategies as st
 from gem_core import extract_code_blocks, extract_last_boxed_answer, extract_last_tagged_answer
 from gem_core.parsing import extract_boxed_answers
 
-ANY_TEXT = st.text(st.characters(), max_size=60)
-"""Surrogates and control characters included."""
-
 
 def pieces(*words: str) -> st.SearchStrategy[str]:
     """Text that is put together from the words that matter, so that they often meet."""
     return st.lists(st.sampled_from(words), max_size=14).map("".join)
 
 
-BOXES = pieces("\\boxed{", "\\boxed", "{", "}", "\\", "\\{", "\\}", "a", " ", "\n")
+BOXES = pieces("\\boxed{", "\\boxed", "\ud800", "{", "}", "\\", "\\{", "\\}", "a", " ", "\n")
 TAGS = pieces("<answer>", "</answer>", "<answer", "</", "a", " ", "\n")
 FENCES = pieces("```", "~~~", "````", "`", "~", "python", " ", "\n", "\r\n", "x = 1", "   ")
 
@@ -37,7 +34,6 @@ FENCES = pieces("```", "~~~", "````", "`", "~", "python", " ", "\n", "\r\n", "x 
         (r"\boxed{a\\}", r"a\\"),
         (r"\boxed{a \boxed{b} c}", "b"),
         (r"\boxed{1} and \boxed{2", "1"),
-        (r"\boxed{1} and \boxedness", "1"),
         (r"\\boxed{7}", "7"),
     ],
 )
@@ -83,22 +79,6 @@ def test_box_agrees_with_a_naive_reading(text: str) -> None:
     assert (extract_boxed_answers(text) or [None])[-1] == naive_box(text)
 
 
-@pytest.mark.parametrize(
-    ("text", "answers"),
-    [
-        ("", []),
-        ("no box, \\boxed{unfinished", []),
-        (r"\boxed{1} and \boxed {\text{two}} \boxed{ 3 }", ["1", r"\text{two}", "3"]),
-        (r"\boxed{1} \boxed{} \boxed{2", ["1", ""]),
-        (r"\boxed{a \boxed{b} c} \boxed{d", ["b"]),
-        (r"\boxed{\boxed{1} + \boxed{2}}", ["1", "2"]),
-    ],
-)
-def test_all_complete_boxes_in_order(text: str, answers: list[str]) -> None:
-    """Of boxes inside each other the innermost ones."""
-    assert extract_boxed_answers(text) == answers
-
-
 # <answer>
 
 
@@ -106,10 +86,8 @@ def test_all_complete_boxes_in_order(text: str, answers: list[str]) -> None:
     ("text", "answer"),
     [
         ("<answer>4</answer>", "4"),
-        ("<answer>1</answer><answer>2", "1"),
         ("<answer>1</answer> 2</answer>", "1"),
         ("<answer>a<answer>b</answer>", "b"),
-        ("<answer><answer>b</answer></answer>", "b"),
         ("<answer>a < b > c</answer>", "a < b > c"),
     ],
 )
@@ -124,11 +102,6 @@ def test_last_tag_is_found(text: str, answer: str) -> None:
 def test_no_complete_tag_gives_none(text: str) -> None:
     """Text without an opening and a closing tag has no answer."""
     assert extract_last_tagged_answer(text) is None
-
-
-def test_another_tag_may_be_named() -> None:
-    """The tag is an argument, taken to the letter."""
-    assert extract_last_tagged_answer("<a.b>1</a.b><axb>2</axb>", "a.b") == "1"
 
 
 def naive_tag(text: str) -> str | None:
@@ -155,8 +128,6 @@ def test_tag_agrees_with_a_naive_reading(text: str) -> None:
     [
         ("```python\nx = 1\n```", [("python", "x = 1")]),
         ("```Python title=x\nx\n```", [("python", "x")]),
-        ("``` python\nx\n```  \n", [("python", "x")]),
-        ("```\n\n```", [("", "")]),
         ("````\n```\nx\n```\n````", [("", "```\nx\n```")]),
         ("~~~\n```\nx\n~~~", [("", "```\nx")]),
         ("~~~ a`b c\nx\n~~~", [("a`b", "x")]),
@@ -181,13 +152,6 @@ def test_languages_are_chosen_whatever_their_case() -> None:
     """Only the languages asked for are kept; an empty one stands for none."""
     text = "```Python\n1\n```\n```\n2\n```\n```js\n3\n```"
     assert [block.code for block in extract_code_blocks(text, "PYTHON", "")] == ["1", "2"]
-
-
-def test_positions_cut_the_block_out_of_the_text() -> None:
-    """Start and end delimit the block with its fences."""
-    text = "say\n```python\nx\n```\nmore"
-    block = extract_code_blocks(text)[0]
-    assert text[block.start : block.end] == "```python\nx\n```"
 
 
 def naive_blocks(text: str) -> list[tuple[str, str]]:
@@ -223,17 +187,23 @@ def test_blocks_agree_with_a_reading_line_by_line(text: str) -> None:
 # Any text
 
 
-@given(ANY_TEXT)
-def test_any_text_is_taken(text: str) -> None:
-    """No text raises, broken Unicode and control characters included."""
-    extract_last_boxed_answer(text)
-    extract_last_tagged_answer(text)
-    extract_code_blocks(text)
-
-
 MEGABYTE = 1_000_000
 HOSTILE = [
-    *("\\boxed{", "\\boxed", "\\boxed ", "{", "}", "\\", "\\boxed{{", "\\\\boxed", "<answer>", "</answer>", "<answer"),
+    *(
+        "\\boxed{",
+        "\\boxed",
+        "\\boxed ",
+        " " * 1_000_000,
+        "\\\\boxed",
+        "{",
+        "}",
+        "\\",
+        "\\boxed{{",
+        "\\\\boxed",
+        "<answer>",
+        "</answer>",
+        "<answer",
+    ),
     *("<", "```\n", "```", "`", "~", "~~~x ", "```x\n", " ", "\n", "   ```\n"),
 ]
 
@@ -256,9 +226,3 @@ def test_megabytes_of_one_unit_finish(unit: str) -> None:
 def test_a_fence_with_a_line_of_megabytes_finishes(mark: str, filler: str, end: str) -> None:
     """One endless line behind a fence is read once, not once from each of its characters."""
     assert extract_code_blocks(mark + filler * (1_000_000 // len(filler)) + end) == []
-
-
-def test_box_with_endless_space_finishes() -> None:
-    r"""White space between \\boxed and its brace is read once."""
-    assert extract_last_boxed_answer("\\boxed" + " " * 5 * MEGABYTE) is None
-    assert extract_last_boxed_answer("\\\\boxed" + " " * 5 * MEGABYTE + "{1}") == "1"

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import pickle
-
 import pytest
 from word_env import WordEnv
 
 import gem_core as gem
 from gem_core import errors
 from gem_core.registry import lookup as registry
-from gem_core.registry.specs import EnvSpec
 
 pytestmark = pytest.mark.usefixtures("own_registry")
 
@@ -52,36 +49,6 @@ def test_print_envs_writes_ids_with_summaries(capsys: pytest.CaptureFixture[str]
 
 
 # Records.
-
-
-@pytest.mark.parametrize(
-    ("env_id", "namespace", "name", "version"),
-    [
-        ("game:Mastermind-v0-easy", "game", "Mastermind-v0-easy", 0),
-        ("math:GSM8K", "math", "GSM8K", None),
-        ("my-v2-set:Name-v13", "my-v2-set", "Name-v13", 13),
-        ("a:b-v1x", "a", "b-v1x", None),
-    ],
-)
-def test_parts_of_an_id(env_id: str, namespace: str, name: str, version: int | None) -> None:
-    """Namespace, name and version are read off the id."""
-    record = EnvSpec(id=env_id, entry_point="a:B")
-    assert (record.namespace, record.name, record.version) == (namespace, name, version)
-
-
-def test_record_is_hashable_and_pickled() -> None:
-    """A record goes into a set, and survives pickling."""
-    record = EnvSpec(id="word:Guess-v0", entry_point="a:B", kwargs={"n": [1]}, tags=("x",))
-    assert pickle.loads(pickle.dumps(record)) == record
-    assert len({record, pickle.loads(pickle.dumps(record))}) == 1
-
-
-def test_record_does_not_share_its_mapping_with_the_caller() -> None:
-    """Changing the dictionary that was given does not change the record."""
-    given = {"n": 1}
-    record = EnvSpec(id="word:Guess-v0", entry_point="a:B", kwargs=given)
-    given["n"] = 2
-    assert dict(record.kwargs) == {"n": 1}
 
 
 def test_drawing_of_errors_is_the_hierarchy() -> None:

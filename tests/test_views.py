@@ -12,7 +12,6 @@ from toys import CountdownEnv, EchoEnv
 import gem_core as gem
 from gem_core.env.guard import Guard
 from gem_core.env.observations import join_observations
-from gem_core.errors import ArgumentError
 from gem_core.parsing import visible_text, without_thinking
 from gem_core.wrappers.views import Concat, ConcatWithAction, Latest, ObservationView
 
@@ -41,13 +40,6 @@ def test_views_show_feedback_and_the_suffix_once(view_class: Any, options: Any, 
     assert (result[4]["feedback"], result[4]["suffix"]) == ("You said 'c'.\n", "Left: 97.")
 
 
-def test_without_feedback_and_suffix_the_whole_observation_is_feedback() -> None:
-    """A task that does not tell the two apart is shown whole."""
-    view = Concat(EchoEnv())
-    view.reset(seed=1)
-    assert view.step("hi")[0] == "Say something.\nHeard: hi"
-
-
 def test_drop_thinking_leaves_out_thinking_of_earlier_turns() -> None:
     """Thinking goes from the view; the action that the task gets is whole."""
     view = ConcatWithAction(EchoEnv(), drop_thinking=True)
@@ -64,8 +56,6 @@ def test_drop_thinking_leaves_out_thinking_of_earlier_turns() -> None:
         ("x<think>a</think>b<think>c</think>d", "xd"),
         ("x<think>never closed", "x"),
         ("<think>a</think>b<think>open", "b"),
-        ("plain", "plain"),
-        ("", ""),
         ("</think>", ""),
         ("x[THINK]a[/THINK]y", "xy"),
         ("<think>a</think>b<seed:think>c", "b"),
@@ -86,11 +76,6 @@ def test_no_thinking_is_left(action: str) -> None:
     assert "<think>" not in rest
 
 
-def test_hostile_thinking_is_read_in_linear_time() -> None:
-    """Megabytes of tags are no trouble."""
-    assert without_thinking("<think>" * 500_000 + "</think>" * 500_000) == ""
-
-
 def test_content_parts_are_joined_as_parts() -> None:
     """Once there is an image, everything becomes parts, and texts stay on lines of their own."""
     image = {"type": "image", "image": object()}
@@ -103,21 +88,6 @@ def test_content_parts_are_joined_as_parts() -> None:
     ]
 
 
-@pytest.mark.parametrize("limit", [0, -1, 1.5, "3"])
-def test_max_turns_must_be_a_positive_number(limit: object) -> None:
-    """A limit that means nothing is refused at once."""
-    with pytest.raises(ArgumentError, match="max_turns"):
-        Concat(EchoEnv(), max_turns=limit)  # type: ignore[arg-type]  # that is the point
-
-
-def test_views_are_made_by_name_with_arguments() -> None:
-    """``make`` puts them around a task, and the spec records how."""
-    env = gem.make("toy:Countdown-v0", wrappers=["episode_stats", ("concat", {"max_turns": 2})])
-    env.reset(seed=3)
-    assert env.spec is not None
-    assert env.spec.wrappers == (("episode_stats", {}), ("concat", {"max_turns": 2}))
-
-
 @pytest.mark.parametrize(
     ("response", "said"),
     [
@@ -125,9 +95,7 @@ def test_views_are_made_by_name_with_arguments() -> None:
         ("secret</think>Hello.", "Hello."),
         ("Hello. <think>secret", "Hello."),
         ("[THINK]secret[/THINK]Hello.", "Hello."),
-        ("Hello.<seed:think>secret", "Hello."),
         ("Hello.\n<think>secret</think>\nBye.", "Hello.\n\nBye."),
-        ("<think>se<think>c</think>ret</think>Hello.", "Hello."),
         ("secret</think>", ""),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -135,7 +136,8 @@ def _opened(path: Path) -> BinaryIO:
 def whole_file(path: Path) -> Iterator[BinaryIO]:
     """Open a file to write; it replaces what stands under its name when the block ends without an error.
 
-    Readers see the old file or the new one, and a killed process leaves the old one. A symbolic link stays a link.
+    Readers see the old file or the new one, and a killed process leaves the old one. Its mode stays, and a symbolic
+    link stays a link.
 
     Raises:
         OSError: The file cannot be written.
@@ -145,6 +147,8 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     try:
         with partial.open("wb") as file:
             yield file
+        with suppress(FileNotFoundError):
+            shutil.copymode(path, partial)
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
