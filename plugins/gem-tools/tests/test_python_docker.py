@@ -73,7 +73,7 @@ def test_calls_and_sessions(running: Pool) -> None:
     assert session.run("x, open('kept').read()").value == "(1, 'y')"
     session.close()
     assert running.chosen is not None
-    assert running.chosen.note == f"image {image()}"
+    assert running.chosen.launch.note == f"image {image()}"
 
 
 def test_code_yields_the_processor_to_the_watch_over_its_limits() -> None:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from python_levels import why_not
 
-from gem_tools.python import starting
 from gem_tools.requirements import bubblewrap
 
 if TYPE_CHECKING:
@@ -22,7 +21,6 @@ def test_bubblewrap_is_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     program.write_text("#!/bin/sh\necho 'bwrap: no permission' >&2\nexit 1\n")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    monkeypatch.setattr(starting, "_working", {})
     assert bubblewrap("").status == "met"
     finding = bubblewrap("", closely=True)
     assert finding.status == "unmet"

@@ -13,37 +13,24 @@ import os
 import threading
 import weakref
 from collections.abc import Coroutine, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 
 from gem_core.background import on_library_loop, run_sync
 from gem_core.errors import ArgumentError, StateNotSupported
 from gem_tools.python import starting
 from gem_tools.python.errors import SandboxError
-from gem_tools.python.levels import launch
+from gem_tools.python.levels import DOCKER_IMAGE, LEVELS
 from gem_tools.python.limits import Limits
 from gem_tools.python.outcome import Outcome, outcome_from
-from gem_tools.python.sandbox import Answer, Sandbox
+
+if TYPE_CHECKING:
+    from gem_tools.python.sandbox import Answer, Sandbox
 
 USUAL: tuple[str, ...] = ("bisect", "collections", "copy", "dataclasses", "datetime", "decimal", "fractions", "heapq")
-USUAL += (
-    "functools",
-    "itertools",
-    "json",
-    "math",
-    "operator",
-    "random",
-    "re",
-    "statistics",
-    "string",
-    "time",
-    "typing",
-)
+USUAL += ("functools", "itertools", "json", "math", "operator", "random", "re", "statistics", "string", "typing")
 """Modules that every sandbox has imported; they cost nothing to fork."""
 
 _NO_LIMITS = Limits()
-_PAUSES_S = (0.1, 0.2, None)
-"""After each attempt to start a sandbox."""
 
 T = TypeVar("T")
 
@@ -90,7 +77,8 @@ class Pool:
         folder_mb: int = _NO_LIMITS.folder_mb,
         image: str | None = None,
     ) -> None:
-        starting.check_level(sandbox)
+        if sandbox not in (starting.AUTO, *LEVELS):
+            raise ArgumentError(f"sandbox must be one of {', '.join([starting.AUTO, *LEVELS])}, not {sandbox!r}")
         if num_workers is None:
             num_workers = min(8, max(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2))
         if type(num_workers) is not int or not 1 <= num_workers <= 256:
@@ -98,7 +86,12 @@ class Pool:
         if isinstance(preload, str) or not all(isinstance(name, str) and name for name in preload):
             raise ArgumentError(f"preload must be a list of names of modules, not {preload!r}")
         self.sandbox, self.num_workers = sandbox, num_workers
-        self.options = starting.options(preload=[*USUAL, *preload], folder_mb=folder_mb, image=image)
+        self.options: dict[str, Any] = {
+            "preload": list(dict.fromkeys([*USUAL, *preload])),
+            "folder_mb": folder_mb,
+            "folder_files": _NO_LIMITS.folder_files,
+            "image": image or DOCKER_IMAGE,
+        }
         self._numbers = itertools.count(1)
         self._forget()
         _pools.add(self)
@@ -106,8 +99,10 @@ class Pool:
     def _forget(self) -> None:
         self.cells: list[Sandbox] = []
         self.idle: list[Sandbox] = []  # those of `cells` that wait for a call
-        self.waiting: list[_Ticket] = []  # calls that wait for a sandbox
-        self.chosen: starting.Chosen | None = None
+        # Calls that wait for a sandbox: what gets it, and the one of their session, if any.
+        self.waiting: list[tuple[asyncio.Future[Sandbox], Sandbox | None]] = []
+        self.chosen: Sandbox | None = None  # the first
+        self.passed_over: dict[str, str] = {}
         self._starting = 0
         self._closed = False
         self._tasks: set[asyncio.Task[Any]] = set()
@@ -115,7 +110,7 @@ class Pool:
     @property
     def level(self) -> str | None:
         """The level that calls run in; None before the first sandbox has started."""
-        return None if self.chosen is None else self.chosen.level
+        return None if self.chosen is None else self.chosen.launch.level
 
     def run(self, code: str, **options: Unpack[RunOptions]) -> Outcome:
         """Run a program as ``__main__`` in a process of its own and return its outcome.
@@ -218,67 +213,48 @@ class Pool:
         if session is not None and bound is not None and not bound.alive:
             session.forget()
             raise SandboxError("the sandbox of this session was lost, and its variables with it")
-        ticket = _Ticket(asyncio.get_running_loop().create_future(), bound)
-        self.waiting.append(ticket)
+        turn: asyncio.Future[Sandbox] = asyncio.get_running_loop().create_future()
+        self.waiting.append((turn, bound))
         self._serve()
         try:
-            return await ticket.turn
+            return await turn
         except asyncio.CancelledError:
-            if ticket in self.waiting:
-                self.waiting.remove(ticket)
-            elif not ticket.turn.cancelled() and ticket.turn.exception() is None:
-                self._release(ticket.turn.result())
+            if turn.done() and not turn.cancelled() and turn.exception() is None:
+                self._release(turn.result())
             raise
 
     def _serve(self) -> None:
         """Give idle sandboxes to the calls that wait, in the order of their coming; start more if there are too few."""
-        place = 0
-        while self.idle and place < len(self.waiting):
-            ticket = self.waiting[place]
-            cell = ticket.cell or self.idle[0]
-            if cell not in self.idle:
-                place += 1
-                continue
-            self.idle.remove(cell)
-            del self.waiting[place]
-            if not ticket.turn.done():
-                ticket.turn.set_result(cell)
-        free = sum(1 for ticket in self.waiting if ticket.cell is None)
+        self.waiting = [(turn, bound) for turn, bound in self.waiting if not turn.done()]
+        for turn, bound in self.waiting:
+            if not self.idle:
+                break
+            cell = bound or self.idle[0]
+            if cell in self.idle:
+                self.idle.remove(cell)
+                turn.set_result(cell)
+        free = sum(1 for turn, bound in self.waiting if bound is None and not turn.done())
         while self._starting < free and len(self.cells) + self._starting < self.num_workers:
             self._starting += 1
             self._in_background(self._start_one())
 
     async def _start_one(self) -> None:
         try:
-            if self.chosen is None:
-                self.chosen = await starting.chosen(self.sandbox, self.options)
-                starting.warn_of_process(self.chosen)
-            cell = await self._started(self.chosen)
+            cell, passed_over = await starting.start(self.level or self.sandbox, self.options, self._lost)
         except BaseException as error:
             self._starting -= 1
             if not self.cells and not self._starting:
                 self._refuse_waiting(error)
             raise
         self._starting -= 1
+        if self.chosen is None:
+            self.chosen, self.passed_over = cell, passed_over
+            starting.warn_of_process(cell, passed_over)
         if self._closed:
             self._clear_later(cell)
         else:
             self.cells.append(cell)
             self._release(cell)
-
-    async def _started(self, chosen: starting.Chosen) -> Sandbox:
-        for pause_s in _PAUSES_S:
-            cell = Sandbox(launch(chosen.level, self.options), self._lost)
-            try:
-                await cell.start()
-            except SandboxError:
-                self._clear_later(cell)
-                if pause_s is None:
-                    raise
-                await asyncio.sleep(pause_s)
-            else:
-                return cell
-        raise SandboxError("the sandbox did not start")
 
     def _release(self, cell: Sandbox) -> None:
         if cell.alive and cell not in self.idle:
@@ -302,12 +278,10 @@ class Pool:
 
     def _refuse_waiting(self, error: BaseException, cell: Sandbox | None = None) -> None:
         """Fail the calls that wait for a sandbox, or for any."""
-        refused = [ticket for ticket in self.waiting if cell is None or ticket.cell is cell]
-        self.waiting = [ticket for ticket in self.waiting if ticket not in refused]
-        for ticket in refused:
-            if not ticket.turn.done():
+        for turn, bound in self.waiting:
+            if not turn.done() and (cell is None or bound is cell):
                 # A copy for each: one exception that is raised in many places grows with each.
-                ticket.turn.set_exception(copy.copy(error))
+                turn.set_exception(copy.copy(error))
 
     async def _close_session(self, session: Session) -> None:
         cell, opened = session.cell, session.opened
@@ -321,19 +295,6 @@ class Pool:
         for cell in self.cells:
             cell.after_fork()
         self._forget()
-
-
-@dataclass(eq=False)
-class _Ticket:
-    """A call that waits for its turn.
-
-    Args:
-        turn: Gets the sandbox.
-        cell: The sandbox of its session; None for any.
-    """
-
-    turn: asyncio.Future[Sandbox]
-    cell: Sandbox | None
 
 
 class Session:

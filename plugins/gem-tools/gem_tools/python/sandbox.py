@@ -17,6 +17,7 @@ from gem_tools.python import docker
 from gem_tools.python.errors import SandboxError
 from gem_tools.python.inside import confine, wire
 from gem_tools.python.levels import Launch, bootstrap
+from gem_tools.python.limits import Limits
 from gem_tools.python.outcome import Output
 
 START_S = 120.0
@@ -85,15 +86,27 @@ class Sandbox:
         try:
             async with asyncio.timeout(START_S):
                 self.ready, _ = await self._asked(bootstrap(self.launch.settings))
+                await self._try()
         except TimeoutError:
             words = self._words()
             self.close()
             raise SandboxError(f"the sandbox was not ready within {START_S:.0f} s{words}") from None
         except SandboxError as error:
+            self.close()
             raise SandboxError(str(error).replace("was lost", "did not start")) from error
         except BaseException:
             self.close()
             raise
+
+    async def _try(self) -> None:
+        """Run an empty program, which shows whether code can be run at all."""
+        settings = self.launch.settings
+        limits = Limits(wall_s=30.0, folder_mb=settings["folder_mb"], folder_files=settings["folder_files"])
+        job = json.dumps({"code": "", "files": {}, "value": False, "most": 100}).encode("ascii")
+        header = {"op": "run", "id": 0, "limits": limits.told(session=False), "job": len(job), "input": 0}
+        answer, (_, err, _) = await self.ask(header, job)
+        if answer["failed"] is not None or answer["status"] != 0:
+            raise SandboxError(f"the sandbox does not work: {answer['failed'] or err.text()[-600:]}")
 
     async def ask(self, header: dict[str, Any], body: bytes = b"") -> Answer:
         """Ask for something and return the answer; one question at a time.

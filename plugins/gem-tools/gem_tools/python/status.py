@@ -24,16 +24,12 @@ def status() -> dict[str, str]:
         return {"sandbox": f"none: {error}"}
     finally:
         pool.close()
-    chosen = pool.chosen
-    if chosen is None:
+    if (chosen := pool.chosen) is None:
         return {"sandbox": level}
-    facts = {"sandbox": level, "filter": "system calls are filtered" if chosen.filtered else "none"}
+    note = chosen.launch.note
+    facts = {"sandbox": f"{level} ({note})" if note else level}
+    facts["filter"] = "system calls are filtered" if chosen.ready["filtered"] else "none"
     if level != "bubblewrap":
-        walled, not_walled = (
-            "code is kept to its folder (Landlock)",
-            "this kernel has no Landlock: code opens what you may",
-        )
-        facts["files"] = walled if chosen.walled else not_walled
-    if chosen.note:
-        facts["sandbox"] = f"{level} ({chosen.note})"
-    return {**facts, **{f"not {name}": reason for name, reason in chosen.passed_over.items()}}
+        walled, open_ = "code is kept to its folder (Landlock)", "this kernel has no Landlock: code opens what you may"
+        facts["files"] = walled if chosen.ready["walled"] else open_
+    return {**facts, **{f"not {name}": reason for name, reason in pool.passed_over.items()}}

@@ -134,9 +134,9 @@ class PythonTool(ConfiguredTool):
         version = packages = ""
         python = interpreter(self.pool.sandbox, self.pool.options["image"])
         if python is not None:
-            version = f" {python.version}"
+            version = f" {python['python']}"
             wanted = [name.partition(".")[0] for name in (*PACKAGES, *self.pool.options["preload"])]
-            found = [name for name in dict.fromkeys(wanted) if name in python.modules]
+            found = [name for name in dict.fromkeys(wanted) if name in python["modules"]]
             packages = f" It has the standard library{' and ' if found else ' alone'}{', '.join(found)}."
         return _DESCRIPTION.format(
             version=version,

@@ -16,6 +16,7 @@ import json
 import logging
 import mmap
 import os
+import pkgutil
 import select
 import signal
 import socket
@@ -138,9 +139,11 @@ class Server:
             kernel.unmount("/proc")
         else:
             kernel.prctl(kernel.PR_SET_CHILD_SUBREAPER, 1)
+        version = "{}.{}".format(*sys.version_info[:2])
+        modules = sorted({module.name for module in pkgutil.iter_modules()} - sys.stdlib_module_names)
         gc.collect()
         gc.freeze()
-        self.send(found)
+        self.send({**found, "python": version, "modules": modules})
 
     def serve(self) -> NoReturn:
         """Answer until the library is gone."""
