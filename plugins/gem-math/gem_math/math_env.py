@@ -2,8 +2,6 @@ r"""``MathEnv``: one problem, one response, graded by its ``\boxed{}`` answer.""
 
 from __future__ import annotations
 
-import collections
-import logging
 import math
 from collections.abc import Sequence
 from typing import Any, Unpack
@@ -11,14 +9,8 @@ from typing import Any, Unpack
 from gem_core.data import DatasetEnv, DatasetOptions, Grade
 from gem_core.errors import ArgumentError, GradingError
 from gem_math.grading import grade as grade_answer
-from gem_math.grading import is_readable
-
-logger = logging.getLogger(__name__)
 
 _CHARS_OF_PENALTY = 1000
-_MOST_ROWS, _MOST_SETS = 10_000, 16
-_looked_at: collections.OrderedDict[tuple[int, str], Any] = collections.OrderedDict()
-"""Rows whose gold answers were looked at, by their id, which is theirs as long as they are kept here."""
 
 
 class MathEnv(DatasetEnv):
@@ -32,7 +24,7 @@ class MathEnv(DatasetEnv):
 
     A gold answer may be a text, a number, or a list, each element of which is right. Where it has a mark such as
     GSM8K's ``####``, or a box, it is what stands there. ``gem_math.grade`` says what counts as the same answer.
-    One that cannot be read, as with a brace too many, is compared as text; a warning says once how many rows have such.
+    One that cannot be read, as with a brace too many, is compared as text.
 
     Args:
         rows: As for ``DatasetEnv``, whose keywords for loading, columns and the prompt are all taken.
@@ -82,8 +74,6 @@ class MathEnv(DatasetEnv):
         self.length_penalty = length_penalty
         self.partial_credit = partial_credit
         self.timeout_s = timeout_s
-        if options.get("map_row") is None:  # which may be costly
-            self._warn_of_unreadable()
 
     def grade(self, action: str, row: Any) -> Grade:
         """Return the verdict on a response.
@@ -118,30 +108,6 @@ class MathEnv(DatasetEnv):
         if isinstance(gold, list):
             gold = gold[0] if gold else None
         return None if gold is None or not str(gold).strip() else f"\\boxed{{{gold}}}"
-
-    def _warn_of_unreadable(self) -> None:
-        """Say once for a data set which gold answers are compared as text."""
-        key = (id(self.rows), self.answer_key)
-        if key in _looked_at:
-            return
-        _looked_at[key] = self.rows
-        while len(_looked_at) > _MOST_SETS:
-            _looked_at.popitem(last=False)
-        count = min(len(self.rows), _MOST_ROWS)
-        found = [(index, gold) for index in range(count) if (gold := self._unreadable(self.rows[index])) is not None]
-        if found:
-            logger.warning(
-                "gem-math: %d of %d gold answers cannot be read and are compared as text, as that of row %d: %.200r",
-                *(len(found), count, *found[0]),
-            )
-
-    def _unreadable(self, row: Any) -> str | None:
-        try:
-            gold = self.gold(row)
-        except (GradingError, LookupError):
-            return None  # which its own grading says
-        golds = gold if isinstance(gold, list | tuple) else [gold]
-        return next((one for one in golds if isinstance(one, str) and not is_readable(one)), None)
 
     def _behind_mark(self, answer: str) -> str:
         if self.answer_after and self.answer_after in answer:

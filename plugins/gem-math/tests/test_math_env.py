@@ -140,23 +140,6 @@ def test_gold_answer_that_is_missing_is_an_error():
     assert "correct" not in info
 
 
-def test_gold_answers_that_are_compared_as_text_are_told_of_once(caplog: pytest.LogCaptureFixture):
-    """How many there are, and which is the first; however many environments share the rows."""
-    golds = ["5", r"\frac{1}{", "(1, 2", "####", "x+1"]
-    rows = [{"question": "?", "answer": gold} for gold in golds]
-    env = MathEnv(rows)
-    MathEnv(rows)
-    MathEnv([rows[0]])
-    MathEnv(rows, map_row=dict)
-    assert [record.getMessage() for record in caplog.records] == [
-        "gem-math: 2 of 5 gold answers cannot be read and are compared as text, as that of row 1: '\\\\frac{1}{'"
-    ]
-    env.reset(options={"index": 1})
-    assert env.step(r"So \boxed{\frac{1}{}")[1] == 1.0
-    env.reset(options={"index": 1})
-    assert env.step(r"So \boxed{\frac{1}{2}}")[1] == 0.0
-
-
 @pytest.mark.parametrize(
     ("keywords", "message"),
     [

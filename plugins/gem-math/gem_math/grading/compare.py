@@ -29,6 +29,7 @@ from gem_math.grading.forms import (
 from gem_math.grading.quantities import Leaf, equal_pairs, exact, is_numeric
 from gem_math.grading.structure import read, read_words
 from gem_math.grading.text import text_inside
+from gem_math.grading.words import WORDS
 
 _MAX_PARTS = 60
 # An answer that has so many more characters than the gold one is no formula that equals it.
@@ -38,12 +39,7 @@ _DECIMAL = re.compile(r"^[-+]?\d*\.(\d+)$")
 # the parser, which has 50 digits, is not sure.
 _LONG_DECIMAL = re.compile(r"^[-+]?\d*\.(\d{6,45})$")
 _CLOCK = re.compile(r"^\d{1,2}:\d\d$")
-_FILLERS = {"is", "are", "a", "an", "be", "number", "integer", "if", "for", "when", "where"}
-_SHORT_WORDS = set(
-    ["no", "on", "yes", "odd", "even", "true", "none", "not", "ton", "one", "two", "ten", "net", "red", "blue"]
-)
 _NAME_WORD = re.compile(r"[A-Za-z][a-z]{3,}")
-_ANY_NAME = set(["answer", "ans", "result", "value", "total", "solution", "final", "output"])
 _FUNCTION_NAME = re.compile(r"^([A-Za-z])\(([A-Za-z])\)$")
 _INFINITIES = {r"\infty": 1, r"+\infty": 1, r"-\infty": -1}
 
@@ -414,7 +410,9 @@ def same_name(first: str, second: str) -> bool:
         return True  # y is y(x)
     found = [_NAME_WORD.match(re.sub(r"\\(?:angle|triangle|measuredangle)", "", name)) for name in (first, second)]
     words = sorted((match[0].lower() for match in found if match is not None), key=len)
-    return len(words) == 1 or (len(words) == 2 and (bool(set(words) & _ANY_NAME) or words[1].startswith(words[0])))
+    return len(words) == 1 or (
+        len(words) == 2 and (bool(set(words) & set(WORDS["any_name"])) or words[1].startswith(words[0]))
+    )
 
 
 def _renamed(name: str, answer: Equality) -> Form | None:
@@ -430,7 +428,7 @@ def _renamed(name: str, answer: Equality) -> Form | None:
 
 def _is_product(run: str) -> bool:
     """Whether a run of letters may be a product as well as a word."""
-    return re.fullmatch(r"[A-Za-z]{2,4}", run) is not None and run.lower() not in _SHORT_WORDS
+    return re.fullmatch(r"[A-Za-z]{2,4}", run) is not None and run.lower() not in WORDS["short_words"]
 
 
 def _product_of(word: Words) -> Leaf | None:
@@ -445,18 +443,20 @@ def _product_of(word: Words) -> Leaf | None:
 
 def _text_of(form: Form) -> str:
     """Return the LaTeX of a form that sympy may read; nothing of others."""
-    if isinstance(form, Words):
-        return form.text if _is_product(form.text.strip()) else ""
     if isinstance(form, Leaf):
-        return "" if form.unit is not None or form.percent or form.base is not None else form.text
+        return form.text
     if isinstance(form, Opaque):
         return "" if form.has_words else form.text
-    return form.text if isinstance(form, Inequality) or (isinstance(form, Parts) and form.kind == "matrix") else ""
+    return form.text if isinstance(form, Parts) and form.kind == "matrix" else ""
 
 
 def _words(condition: Form | None) -> list[str] | None:
     """Return what a condition says in words, without those that say nothing, as in 'n even' and 'n is even'."""
-    return [word for word in condition.words.split() if word not in _FILLERS] if isinstance(condition, Words) else None
+    return (
+        [word for word in condition.words.split() if word not in WORDS["fillers"]]
+        if isinstance(condition, Words)
+        else None
+    )
 
 
 def _items(form: Form) -> tuple[Form, ...]:

@@ -56,8 +56,6 @@ def extract_answer(text: str, *, strict: bool = False) -> str | None:
     answer = extract_last_boxed_answer(text)
     if answer is None:
         answer = extract_last_tagged_answer(text)
-        if answer is not None and "\\boxed" in answer:
-            answer = extract_last_boxed_answer(answer) or answer
     if answer is not None or strict:
         return answer
     text = text[-_TAIL_CHARS:].strip()

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from gem_math.grading.arithmetic import number_of
 from gem_math.grading.text import has_words, text_inside, words_of
+from gem_math.grading.words import WORDS
 
 
 class Unit(NamedTuple):
@@ -30,44 +31,10 @@ RADIAN = Unit(frozenset({("radian", 1)}))
 DOLLAR = Unit(frozenset({("dollar", 1)}))
 
 _TABLE: dict[str, tuple[str, Fraction]] = {}
-for _dimension, _names in {
-    "length": "1 m meter metre|1/100 cm centimeter centimetre|1/1000 mm millimeter millimetre"
-    "|1000 km kilometer kilometre|127/5000 inch in|381/1250 foot feet ft|1143/1250 yard yd|201168/125 mile mi"
-    "|1/1000000 micrometer micrometre micron microm|1/1000000000 nm nanometer nanometre|1/10000000000 angstrom",
-    "time": "1 s sec second|60 min minute|3600 h hr hour|86400 day|604800 week",
-    "months": "1 month|12 year yr",
-    "mass": "1 g gram gm|1000 kg kilogram|1/1000 mg milligram|45359237/100000 lb pound lbs|1000000 tonne",
-    "volume": "1 l L liter litre|1/1000 ml mL milliliter millilitre|3785411784/1000000000 gallon gal",
-    "dollar": "1 dollar usd buck|1/100 cent",
-    "euro": "1 euro eur",
-    "sterling": "1 gbp",
-    "angle": "1 degree deg",
-    "radian": "1 rad radian",
-    "celsius": "1 celsius",
-    "fahrenheit": "1 fahrenheit",
-    "force": "1 N newton",
-    "energy": "1 J joule",
-    "power": "1 W watt",
-    "resistance": "1 ohm|1000 kohm kiloohm|1000000 Mohm megaohm",
-    "frequency": "1 Hz hertz",
-}.items():
+for _dimension, _names in WORDS["units"].items():
     for _line in _names.split("|"):
         _factor, *_spellings = _line.split()
         _TABLE.update(dict.fromkeys(_spellings, (_dimension, Fraction(_factor))))
-_RATES = {"mph": "mile/hour", "kmph": "km/hour", "kph": "km/hour", "kmh": "km/hour", "fps": "ft/second"}
-_IRREGULAR = {"inches": "inch", "feet": "foot", "men": "man", "women": "woman", "children": "child", "people": "person",
-              "boxes": "box", "dice": "die", "mice": "mouse", "halves": "half", "geese": "goose"}  # fmt: skip
-_NOTHING = {"unit", "st", "nd", "rd", "th", "total", "in"}
-# A sentence is no unit.
-_NO_UNIT = {
-    "is", "are", "was", "not", "no", "nor", "or", "and", "but", "isn't", "wrong", "maybe", "perhaps", "never", "then",
-    "plus", "minus", "times", "than", "about", "if", "else", "either", "any", "all", "except", "unless", "where",
-    "when", "because", "since", "between", "to", "from", "through", "incorrect", "false", "hundred", "thousand",
-    "million", "billion", "trillion", "half", "third", "quarter", "possibly", "answer", "correct", "true",
-    "choose", "mod", "modulo", "divided", "over", "factorial", "percent", "infinity", "double", "twice",
-    "ten", "hundredth", "thousandth", "millionth", "tenth", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth",
-    "below", "above", "under", "excluded", "excluding", "exclusive", "short", "before", "beyond", "versus", "vs",
-}  # fmt: skip
 _SINGLE = {"m", "s", "h", "g", "l", "L", "N", "J", "W"}
 _PIECE = re.compile(r"[^\W\d_]+(?:'[a-z]+)?|\^\s*\{?\s*(-?\d)\s*\}?|/|(\S)")
 _MAX_NOUNS = 4
@@ -108,13 +75,13 @@ class _UnitReading:
             self.sign = -1
         elif word in _POWERS_BEFORE:
             self.power = _POWERS_BEFORE[word]
-        elif word in _RATES:
-            return all(self.take(part, None, None) for part in _RATES[word].replace("/", " / ").split())
+        elif word in WORDS["rates"]:
+            return all(self.take(part, None, None) for part in WORDS["rates"][word].replace("/", " / ").split())
         elif (found := _known(piece)) is not None:
             self.multiply(*found)
-        elif word in _NO_UNIT or _singular(word) in _NO_UNIT:
+        elif word in WORDS["no_unit"] or _singular(word) in WORDS["no_unit"]:
             return False
-        elif word not in _ARTICLES and self.sign > 0 and _singular(word) not in _NOTHING:
+        elif word not in _ARTICLES and self.sign > 0 and _singular(word) not in WORDS["empty_units"]:
             self.nouns.add(_singular(word))
         self.named = True
         return True
@@ -143,7 +110,7 @@ class _UnitReading:
 
 def is_measure(word: str) -> bool:
     r"""Return whether a word of two letters or more, without ``\text{}`` around it, is a known unit."""
-    return word.lower() in _RATES or (word not in _SINGLE and _known(word) is not None)
+    return word.lower() in WORDS["rates"] or (word not in _SINGLE and _known(word) is not None)
 
 
 def go_together(first: Unit | None, second: Unit | None) -> bool:
@@ -168,8 +135,8 @@ def _known(word: str) -> tuple[str, Fraction] | None:
 
 def _singular(word: str) -> str:
     word = word.lower()
-    if word in _IRREGULAR:
-        return _IRREGULAR[word]
+    if word in WORDS["irregular"]:
+        return str(WORDS["irregular"][word])
     if word.endswith("ies") and len(word) > 4:
         return word[:-3] + "y"
     return word[:-1] if word.endswith("s") and not word.endswith("ss") and len(word) > 2 else word
@@ -235,10 +202,8 @@ def _same_digits(gold: Leaf, answer: Leaf) -> bool:
 _NUMERIC = re.compile(
     r"(?:\\(?:frac|sqrt|pi|cdot|times|div|binom|ln|log|exp|sin|cos|tan)(?![a-zA-Z])|[\d+\-*/^(){}.!\s])+"
 )
-_MULTIPLES = {"hundred": 10**2, "thousand": 10**3, "million": 10**6, "billion": 10**9, "trillion": 10**12}
 _CURRENCY = re.compile(r"^(-?)\s*(?:(?:US|USD)?\s*\\\$|USD\b|US\b)\s*(-?)|^(-?)\s*(€|£|₹|¥|Rs\.?)\s*(-?)")
 _CURRENCY_END = re.compile(r"\s*(\\\$|€|£|₹|¥)$")
-_CURRENCIES = {"€": "euro", "£": "sterling", "₹": "rupee", "¥": "yen"}
 _PERCENT = re.compile(
     r"\s*(?:\\?%|\\text\s*\{\s*(?:percent|per cent|pct|percentage|\\?%)\s*\}"
     r"|(?<=[\d}\s])(?:percent|per cent|pct|percentage))$"
@@ -261,9 +226,7 @@ _SINGLE_UNIT = re.compile(
     r"^([-\d.,\s/]*\d(?:[eE][-+]?\d{1,3})?)\s+([a-zA-Z])((?:\^\s*\{?\s*[23]\s*\}?)?(?:\s*/\s*[a-zA-Z](?:\^\s*\{?\s*[23]\s*\}?)?)?)$"
 )
 _COMPOUND = re.compile(r"(\d+(?:\.\d+)?)\s*((?:\\text\s*\{[^{}]*\}|[A-Za-z]+))\s*(?:,|and|\\text\s*\{\s*and\s*\})?\s*")
-_WORDS = ["zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve",
-          "thirteen", "fourteen", "fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty"]  # fmt: skip
-NUMBER_WORDS = {word: number for number, word in enumerate(_WORDS)}
+NUMBERS: list[str] = WORDS["numbers"]
 # 3xyz is a product, and so is 3 xyz; but 3 men are none.
 _TIGHT = re.compile(r"[A-Za-z]{3}\s*")
 _PRODUCT = re.compile(r"(?:[w-z]{3,4}|[a-d]{3,4}|[p-r]{3})\s*")
@@ -274,7 +237,8 @@ def read_quantity(text: str, *, loose_units: bool = False) -> Leaf | None:
     """Return a formula with what stands behind it; None where there are words in it."""
     text = text.strip()
     if match := _BASE.match(text):
-        base = NUMBER_WORDS.get((match[2] or "").lower(), int(match[3]) if match[3] else 0)
+        word = (match[2] or "").lower()
+        base = NUMBERS.index(word) if word in NUMBERS else int(match[3] or 0)
         if 2 <= base <= 36 and (match[1].isdigit() or base > 10):
             return Leaf(match[1].lstrip("0") or "0", base=base)
     text = _REPEATING.sub(_fraction_of, text)
@@ -299,11 +263,13 @@ def _formula(text: str, unit: Unit | None, percent: bool = False) -> Leaf | None
 def _unit(text: str, loose_units: bool) -> tuple[str, Unit | None]:
     if match := _CURRENCY.match(text):
         sign = "-" if "-" in match[0] else ""
-        unit = DOLLAR if match[4] is None else Unit(frozenset({(_CURRENCIES.get(match[4], "rupee"), 1)}))
+        unit = DOLLAR if match[4] is None else Unit(frozenset({(WORDS["currencies"].get(match[4], "rupee"), 1)}))
         core, more = _unit(text[match.end() :], loose_units)
         return sign + core, unit if more is None or not more.measures else more
     if (match := _CURRENCY_END.search(text)) and match.start():
-        return text[: match.start()], DOLLAR if match[1] == r"\$" else Unit(frozenset({(_CURRENCIES[match[1]], 1)}))
+        return text[: match.start()], DOLLAR if match[1] == r"\$" else Unit(
+            frozenset({(WORDS["currencies"][match[1]], 1)})
+        )
     if (match := _DEGREE.search(text)) and match.start() and not _ANGLE_FUNCTION.search(text):
         scale = {"C": "celsius", "F": "fahrenheit"}.get(re.sub(r"\\text|\W", "", match[1] or ""))
         return text[: match.start()], DEGREE if scale is None else Unit(frozenset({(scale, 1)}))
@@ -332,7 +298,7 @@ def _trailing_unit(text: str) -> tuple[str, Unit | None]:
         tail_words = re.findall(r"[A-Za-z]+", re.sub(r"\\text", " ", tail))
         if not core or not re.search(r"[\d\w)}\]!]$", core) or re.search(r"[\\_^]$", core):
             continue
-        multiple = _MULTIPLES.get(tail_words[0].lower()) if tail_words else None
+        multiple = WORDS["multiples"].get(tail_words[0].lower()) if tail_words else None
         if multiple is not None:
             rest = re.sub(r"(?i)" + tail_words[0], " ", tail, count=1)
             unit = read_unit(rest) if words_of(rest) else None

@@ -3,7 +3,7 @@ r"""Reads which form an answer has: a quantity, list, set, tuple, interval, rela
 from __future__ import annotations
 
 import re
-from itertools import groupby
+from collections.abc import Callable
 
 from gem_math.grading.arithmetic import number_of
 from gem_math.grading.forms import (
@@ -18,10 +18,9 @@ from gem_math.grading.forms import (
     Words,
     spread,
 )
-from gem_math.grading.quantities import NUMBER_WORDS, Leaf, read_compound, read_quantity, without_dots
+from gem_math.grading.quantities import NUMBERS, Leaf, read_compound, read_quantity, without_dots
 from gem_math.grading.text import (
     UnreadableError,
-    has_no_brackets,
     has_words,
     is_name,
     outer_brackets,
@@ -34,6 +33,7 @@ from gem_math.grading.text import (
     worded,
     words_of,
 )
+from gem_math.grading.words import WORDS
 
 _MAX_ITEMS = 200
 _MAX_NESTING = 12
@@ -41,23 +41,11 @@ _LEAD = re.compile(
     r"(?i)^(?:so|thus|hence|therefore)?[\s,]*(?:the\s+)?(?:final\s+|correct\s+)?(?:answer|result|solution)s?\s*"
     r"(?:is|are|:|=)\s*:?\s*(?=\S)"
 )
-_MAY_LEAD = re.compile(r"(?i)\W*(?:text\s*\{)?\s*(?:so|thus|hence|therefore|the|final|correct|answer|result|solution)")
-_STRANGE = re.compile(
-    r"\\(?:to|mapsto|equiv|sim|propto|cong|notin|subset|subseteq|[Rr]ightarrow|implies|iff|longrightarrow|n?mid|parallel"
-    r"|perp|land|wedge|forall|exists|cap|supset|[Ll]eftrightarrow|p?mod|ldots|not)"
-)
 _OR = re.compile(r"(?<![A-Za-z])or(?![A-Za-z])|\\vee")
 _SEPARATORS = {",", ";", "and", "or", r"\vee"}
-_BRACKETS = set("()[]{}")
-_NO_VALUE = {"dne", "does not exist", "the limit does not exist", "it does not exist"}
-_NOTHING = {
-    "no solution", "no solutions", "none", "empty set", "the empty set", "no real solution", "no real solutions",
-    "there is no solution", "there are no solutions", "no such solution",
-}  # fmt: skip
 _ENDLESS = re.compile(
     r"(?:there are )?infinitely many(?: solutions)?|infinite(?: solutions)?|(?:an )?infinite number of solutions"
 )
-_REALS = {r"\mathbb{R}", "all real numbers", "all reals", "the real numbers", "all real x", "real numbers"}
 _SIGNS_ALONE = re.compile(r"[^\w]+|\^.*")
 # A hyphen has letters on both sides; any other is a minus.
 _DIFFERENCE = re.compile(r"(?<![^\W\d_]{2})-|-(?![^\W\d_]{2})")
@@ -79,14 +67,11 @@ _MODULO = re.compile(
     r"(.*?)\(?\s*\\?(?<![a-z])mod(?:ulo)?(?![a-z])\s*(?:\{([^{}]+)\}|([^{}(),;]+?))\s*\)?\s*", re.DOTALL
 )
 _TIME = re.compile(r"(\d{1,2})(:\d\d)?\s*([ap])\.?\s?m\.?", re.IGNORECASE)
-_MONTHS = ["january", "february", "march", "april", "may", "june", "july", "august", "september", "october", "november",
-           "december"]  # fmt: skip
 _DAY_IN_DIGITS = re.compile(r"(\d{4})-(\d\d)-(\d\d)")
 _MATRIX = re.compile(r"^\\begin\s*\{([pbB]?matrix|smallmatrix|array)\}(?:\s*\{[^{}]*\})?(.*)\\end\s*\{\1\}$", re.DOTALL)
 _CASES = re.compile(r"^\\begin\s*\{([dr]?cases)\}(.*)\\end\s*\{\1\}$", re.DOTALL)
 _ROW_END = re.compile(r"\\\\(?:\s*\[[^\]]*\])?|\\cr(?![a-zA-Z])")
 _TRANSPOSED = re.compile(r"^(.*)\^\s*(?:\{\s*)?(?:T|\\top|\\intercal|\\text\s*\{\s*T\s*\})(?:\s*\})?$", re.DOTALL)
-_CONDITION = re.compile(r"[,;\s]*\\text\s*\{[\s,;]*(if|for|when|where|otherwise|else)(?![A-Za-z])([^{}]*)\}")
 _CONDITION_WORD = re.compile(r"^\s*(?:\\text\s*\{\s*(?:if|for|when|where)\s*\}|(?:if|for|when|where)(?![A-Za-z]))")
 
 PLUS_INFINITY, MINUS_INFINITY = Leaf(r"\infty"), Leaf(r"-\infty")
@@ -123,10 +108,11 @@ class _Reading:
         self.items += 1
         if depth > _MAX_NESTING or self.items > _MAX_ITEMS:
             raise UnreadableError
-        text = _without_lead(text.strip())
-        return (
-            self.choice(text, depth) or self.words(text, depth) or self.several(text, depth) or self.single(text, depth)
-        )
+        text = without_dots(_without_lead(text.strip()))
+        if self.join_thousands:
+            text = _without_commas(_SPACED_THOUSANDS.sub(lambda match: match[1].replace(" ", ""), text))
+        forms = (attempt(self, text, depth) for attempt in FORMS.values())
+        return next((form for form in forms if form is not None), Opaque(text))
 
     def words(self, text: str, depth: int) -> Form | None:
         """What has no mathematics in it."""
@@ -143,8 +129,8 @@ class _Reading:
             or re.search(r"\\text\s*\{[^{}]*[\d+=<>]", text)
         ):
             return None
-        if words in NUMBER_WORDS:
-            return Leaf(str(NUMBER_WORDS[words]))
+        if words in NUMBERS:
+            return Leaf(str(NUMBERS.index(words)))
         letters = rest.strip(" .,:;!?'\"-()[]{}")
         if rest == text and (len(letters) <= 1 or split(text, {",", ";"}) != [text]):
             return None
@@ -176,23 +162,14 @@ class _Reading:
 
     def several(self, text: str, depth: int) -> Form | None:
         """Answers side by side."""
-        if self.join_thousands:
-            text = _SPACED_THOUSANDS.sub(lambda match: match[1].replace(" ", ""), _without_commas(text))
-        if (compound := read_compound(text)) is not None:
-            return compound
-        if (points := self.points(text, depth)) is not None:
-            return points
-        if "mod" in text and (congruence := self.congruence(text, depth)) is not None:
-            return congruence
-        whole = split(text, _SEPARATORS)
-        pieces = [piece for piece in whole if piece.strip()]
+        pieces = [piece for piece in split(text, _SEPARATORS) if piece.strip()]
         if len(pieces) < 2:
             return None if pieces == [text] else self.read(pieces[0], depth + 1) if pieces else Words("", "")
         return Parts("or" if _OR.search(text) else "list", self.flat(pieces, depth))
 
     def congruence(self, text: str, depth: int) -> Form | None:
         r"""One or several residues, as in x \\equiv 1, 5 (mod 6)."""
-        match = _MODULO.fullmatch(_MOD_IN_TEXT.sub(r"\1", text))
+        match = _MODULO.fullmatch(_MOD_IN_TEXT.sub(r"\1", text)) if "mod" in text else None
         if match is None or "mod" in match[1] + (match[3] or ""):
             return None
         sides = [side for side in re.split(r"\\equiv|=", match[1]) if side.strip()]
@@ -217,31 +194,23 @@ class _Reading:
             points.append(Parts("()", tuple(named[name] for name in sorted(named))))
         return Parts("list", tuple(points))
 
-    def single(self, text: str, depth: int) -> Form:
-        """One answer."""
-        text = without_dots(text)
-        if self.join_thousands:
-            text = _without_commas(_SPACED_THOUSANDS.sub(lambda match: match[1].replace(" ", ""), text))
-        if (time := _time_of(text)) is not None:
-            return Words(time, text)
-        if quantity := _QUANTITY_IN_TEXT.match(text):
-            leaf = read_quantity(rf"{quantity[1]} \text{{{quantity[2]}}}")
-            if leaf is not None:
-                return leaf
-        if text.startswith(r"\{") and (form := self.bracketed(text, depth)) is not None:
-            return form
-        if r"\pm" in text or r"\mp" in text:
-            above = text.replace(r"\pm", "+").replace(r"\mp", "-")
-            below = text.replace(r"\pm", "-").replace(r"\mp", "+")
-            both = self.flat([_signs(above), _signs(below)], depth)
-            return Opaque(text) if any(isinstance(form, Inequality) for form in both) else Parts("list", both)
-        for attempt in (self.relation, self.union, self.bracketed, self.table, self.ratio):
-            form = attempt(text, depth)
-            if form is not None:
-                return form
-        if any(level == 0 and _STRANGE.fullmatch(token) for token, level in walk(text)):
-            return Opaque(text, has_words(text))
-        return read_quantity(text, loose_units=self.loose_units) or self.worded(text, depth) or Opaque(text)
+    def quantity(self, text: str, depth: int) -> Form | None:
+        """A number or formula, with its unit, all of which may stand in a text."""
+        inside = _QUANTITY_IN_TEXT.match(text)
+        leaf = read_quantity(rf"{inside[1]} \text{{{inside[2]}}}") if inside else None
+        return leaf or read_quantity(text, loose_units=self.loose_units)
+
+    def braces(self, text: str, depth: int) -> Form | None:
+        """A set, whatever signs stand in it."""
+        return self.bracketed(text, depth) if text.startswith(r"\{") else None
+
+    def plus_or_minus(self, text: str, depth: int) -> Form | None:
+        if r"\pm" not in text and r"\mp" not in text:
+            return None
+        above = text.replace(r"\pm", "+").replace(r"\mp", "-")
+        below = text.replace(r"\pm", "-").replace(r"\mp", "+")
+        both = self.flat([_signs(above), _signs(below)], depth)
+        return Opaque(text) if any(isinstance(form, Inequality) for form in both) else Parts("list", both)
 
     def worded(self, text: str, depth: int) -> Words | None:
         """Words, and the formulas among them."""
@@ -271,10 +240,6 @@ class _Reading:
         sides, signs = sides_of(text)
         if not signs:
             return None
-        if not all(side.strip() for side in sides):
-            if len(sides) == 2 and signs == ["="] and not sides[0].strip():
-                return self.read(sides[1], depth + 1)
-            raise UnreadableError
         if set(signs) == {"="}:
             return self.equalities(sides, depth)
         if signs == ["in"]:
@@ -286,8 +251,6 @@ class _Reading:
     def equalities(self, sides: list[str], depth: int) -> Form:
         name, *others = sides
         value = self.read(others[-1], depth + 1)
-        if len(others) == 1 and is_name(name) and len(spread(value)) > 1:
-            return Parts("list", tuple(Equality(plain_name(name), item) for item in spread(value)))
         steps = tuple(self.read(side, depth + 1) for side in others[:-1])
         named = is_name(name) or name.strip() in {"i", "e"}
         steps = steps if named else (self.read(name, depth + 1), *steps)
@@ -318,13 +281,13 @@ class _Reading:
                 return condition if isinstance(condition, Inequality | Parts) else Opaque(text, has_words(text))
             if closing != r"\}" or any(token in {"|", ":", r"\mid"} for token, level in walk(inner) if level == 0):
                 return Opaque(text, has_words(text))
-            items = [piece for piece in split(self.joined(inner), {",", ";"}) if piece.strip()]
+            items = [piece for piece in split(self.with_points(inner), {",", ";"}) if piece.strip()]
             return Parts("set", self.flat(items, depth))
         if opening == "{":
             return self.read(inner, depth + 1)
         if opening not in {"(", "[", r"\langle"}:
             return None
-        pieces = split(self.joined(inner), {",", ";"})
+        pieces = split(self.with_points(inner), {",", ";"})
         if len(pieces) == 1:
             return self.read(inner, depth + 1) if (opening, closing) in {("(", ")"), ("[", "]")} else None
         if not all(piece.strip() for piece in pieces):
@@ -332,15 +295,13 @@ class _Reading:
         brackets = "()" if opening == r"\langle" else opening + closing
         return Parts(brackets, tuple(self.read(item, depth + 1) for item in pieces))
 
-    def joined(self, inner: str) -> str:
-        """Join thousands between brackets only where the commas with a space show which are separators."""
+    def with_points(self, inner: str) -> str:
+        """Write decimal commas between brackets as points."""
         pieces = split(inner, {";"})
         # (0,5; 2) has decimal commas: its separator is another one.
         if len(pieces) > 1 and any("," in piece for piece in pieces) and all(map(_NUMBER_WITH_COMMA.match, pieces)):
             return inner.replace(",", ".")
-        if not self.join_thousands or not re.search(r"[,;]\s", inner):
-            return inner
-        return _TIGHT_THOUSANDS.sub(lambda match: match[1].replace(",", ""), inner)
+        return inner
 
     def table(self, text: str, depth: int) -> Form | None:
         """A matrix, a transposed one, or values with conditions."""
@@ -388,17 +349,38 @@ class _Reading:
         return Parts("ratio", tuple(self.read(part, depth + 1) for part in parts), text.replace(" ", ""))
 
 
+FORMS: dict[str, Callable[[_Reading, str, int], Form | None]] = {
+    "choices": _Reading.choice,
+    "words": _Reading.words,
+    "quantities in several units": lambda reading, text, depth: read_compound(text),
+    "points with named coordinates": _Reading.points,
+    "congruences": _Reading.congruence,
+    "several answers": _Reading.several,
+    "times of day": lambda reading, text, depth: _time_of(text),
+    "sets": _Reading.braces,
+    "plus or minus": _Reading.plus_or_minus,
+    "equations and inequalities": _Reading.relation,
+    "unions": _Reading.union,
+    "brackets": _Reading.bracketed,
+    "matrices and cases": _Reading.table,
+    "ratios": _Reading.ratio,
+    "quantities": _Reading.quantity,
+    "words with formulas": _Reading.worded,
+}
+"""Readings of one answer: the first that fits says what it is; scripts/grader_readings.py tries each."""
+
+
 def _meant_by(text: str, words: str) -> Form | None:
     """Return what some answers in words mean: nothing, every number, infinity, a day."""
-    if text in {r"\emptyset", r"\{\}", r"\{ \}"} or words in _NOTHING:
+    if text in {r"\emptyset", r"\{\}", r"\{ \}"} or words in WORDS["no_solution"]:
         return Parts("set", ())
-    if text.strip() in _REALS or words in _REALS:
+    if {text.strip(), words} & set(WORDS["reals"]):
         return Parts("()", (MINUS_INFINITY, PLUS_INFINITY))
     if _ENDLESS.fullmatch(words) or (words in {"infinity", "positive infinity"} and "\\infty" not in text):
         return PLUS_INFINITY
     if words == "negative infinity":
         return MINUS_INFINITY
-    if words in _NO_VALUE:
+    if words in WORDS["no_value"]:
         return Words("does not exist", text)
     date = _date_of(text_inside(text))
     return None if date is None else Words(date, text)
@@ -408,24 +390,24 @@ def _date_of(text: str) -> str | None:
     """Return a day as its month, day and year, whatever their order, as ``date july 4 2020``; None of anything else."""
     text = text.strip().lower()
     if (match := _DAY_IN_DIGITS.fullmatch(text)) and 0 < int(match[2]) < 13:
-        text = f"{_MONTHS[int(match[2]) - 1]} {int(match[3])} {match[1]}"
+        text = f"{WORDS['months'][int(match[2]) - 1]} {int(match[3])} {match[1]}"
     text = re.sub(r"^on\s+|^(?:mon|tues|wednes|thurs|fri|satur|sun)day\b|\bthe\b|\bof\b|[.,^{}]", " ", text)
     words = re.sub(r"(?<=\d)\s*(?:st|nd|rd|th)\b", "", text).split()
     numbers = sorted((word for word in words if word.isdigit()), key=len)
     names = [word for word in words if not word.isdigit()]
     if len(names) != 1 or len(names[0]) < 3 or [len(number) for number in numbers] not in ([1], [2], [1, 4], [2, 4]):
         return None
-    month = next((month for month in _MONTHS if month.startswith(names[0])), None)
+    month = next((month for month in WORDS["months"] if month.startswith(names[0])), None)
     return month and " ".join(["date", month, *numbers])
 
 
-def _time_of(text: str) -> str | None:
-    """Return a time before or after noon in one spelling; None where the text is no time."""
+def _time_of(text: str) -> Words | None:
+    """Return a time before or after noon in one spelling."""
     match = _TIME.fullmatch(text_inside(text)) if text[-1:] in {"m", "M", ".", "}"} else None
     # 3am without any mark is a product.
     if match is None or not (match[2] or re.search(r"[\s.A-Z]|\\text", text)):
         return None
-    return f"{match[1]}{match[2] or ':00'} {match[3].lower()}m"
+    return Words(f"{match[1]}{match[2] or ':00'} {match[3].lower()}m", text)
 
 
 def _transposed(form: Form) -> Form | None:
@@ -437,36 +419,28 @@ def _transposed(form: Form) -> Form | None:
 
 def _row(row: str) -> tuple[str, str | None]:
     value, mark, condition = row.partition("&")
-    if not mark and (match := _CONDITION.search(row)) is not None:
-        words = match[1] if match[1] in {"otherwise", "else"} else match[2]
-        value, condition, mark = row[: match.start()], f"{words} {row[match.end() :]}", "&"
     condition = condition.replace("&", " ").strip(" ,.;")
     return value.strip(" ,.;"), condition if mark and condition else None
 
 
 def _without_commas(text: str) -> str:
     """Join thousands that stand outside brackets; between these commas separate."""
-    if has_no_brackets(text):
-        return _TIGHT_THOUSANDS.sub(lambda match: match[1].replace(",", ""), text)
-    return "".join(
-        _TIGHT_THOUSANDS.sub(lambda match: match[1].replace(",", ""), "".join(token for token, _ in tokens))
-        if outside
-        else "".join(token for token, _ in tokens)
-        for outside, tokens in groupby(walk(text), key=lambda token: token[1] == 0 and token[0] not in _BRACKETS)
-    )
+
+    def joined(match: re.Match[str]) -> str:
+        before = text[: match.start()]
+        inside = sum(map(before.count, "([{")) > sum(map(before.count, ")]}"))
+        return match[0] if inside else match[0].replace(",", "")
+
+    return _TIGHT_THOUSANDS.sub(joined, text)
 
 
 def _without_lead(text: str) -> str:
-    if not _MAY_LEAD.match(text):
-        return text
     flat = re.sub(r"^\\text\s*\{([^{}]*)\}", r"\1 ", text)
     found = _LEAD.match(flat)
     return flat[found.end() :].strip() if found else text
 
 
 def _inequality(sides: list[str], signs: list[str], text: str) -> Inequality | None:
-    if not set(signs) <= {"<", ">", "<=", ">=", "!="}:
-        return None
     leaves = [leaf for side in sides if (leaf := read_quantity(side)) is not None and not leaf.percent]
     units = {leaf.unit for leaf in leaves if leaf.unit is not None and leaf.unit.measures}
     if len(leaves) < len(sides) or len(units) > 1:

@@ -3,96 +3,26 @@ r"""Brings LaTeX, Unicode and plain notation into one spelling, and splits it at
 Every function takes any text of the few thousand characters that an answer may have.
 """
 
-# ruff: noqa: RUF001  # letters that look like others are what this module is about
-
 from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+
+from gem_math.grading.words import WORDS
 
 _SUPERSCRIPTS = dict(zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻ⁿ", "0123456789+-n", strict=True))
 _SUBSCRIPTS = dict(zip("₀₁₂₃₄₅₆₇₈₉", "0123456789", strict=True))
-_SYMBOLS = {
-    "−": "-", "–": "-", "—": "-", "‐": "-", "‑": "-", "×": r"\times ", "·": r"\cdot ", "⋅": r"\cdot ", "∙": r"\cdot ",
-    "÷": "/", "⁄": "/", "∕": "/", "π": r"\pi ", "∞": r"\infty ", "≤": r"\le ", "⩽": r"\le ", "≥": r"\ge ", "⩾": r"\ge ",
-    "≠": r"\ne ", "≈": r"\approx ", "±": r"\pm ", "∓": r"\mp ", "∪": r"\cup ", "∩": r"\cap ", "∈": r"\in ",
-    "≡": r"\equiv ", "∅": r"\emptyset ", "ℝ": r"\mathbb{R}", "ℤ": r"\mathbb{Z}", "ℕ": r"\mathbb{N}", "ℚ": r"\mathbb{Q}",
-    "ℂ": r"\mathbb{C}", "°": r"^\circ ", "º": r"^\circ ", "∘": r"\circ ", "θ": r"\theta ", "α": r"\alpha ",
-    "β": r"\beta ", "γ": r"\gamma ", "δ": r"\delta ", "λ": r"\lambda ", "φ": r"\phi ", "ω": r"\omega ", "μ": r"\mu ",
-    "σ": r"\sigma ", "τ": r"\tau ", "∠": r"\angle ", "△": r"\triangle ", "⌊": r"\lfloor ", "⌋": r"\rfloor ",
-    "⌈": r"\lceil ", "⌉": r"\rceil ", "⟨": r"\langle ", "⟩": r"\rangle ", "¼": r"\frac{1}{4}", "½": r"\frac{1}{2}",
-    "¾": r"\frac{3}{4}", "⅓": r"\frac{1}{3}", "⅔": r"\frac{2}{3}", "⅕": r"\frac{1}{5}", "⅛": r"\frac{1}{8}",
-    "⅜": r"\frac{3}{8}", "⅝": r"\frac{5}{8}", "⅞": r"\frac{7}{8}", "⅙": r"\frac{1}{6}", "⅚": r"\frac{5}{6}",
-    "’": "'", "‘": "'", "′": "'", "“": '"', "”": '"', "…": r"\ldots ", "⋯": r"\ldots ", "\u00a0": " ",
-    "″": "''", "Å": r"\text{ angstrom}", "\u212b": r"\text{ angstrom}",
-    "或": r"\text{ or }", "和": r"\text{ and }", "、": ",", "\u2009": " ", "\u202f": " ", "\u200b": "", "\ufeff": "",
-}  # fmt: skip
-_TRANSLATION = str.maketrans(_SYMBOLS)
+_TRANSLATION = str.maketrans(WORDS["symbols"])
 _SCRIPTS = re.compile(f"[{''.join(_SUPERSCRIPTS)}]+|[{''.join(_SUBSCRIPTS)}]+")
 _ROOT = re.compile(r"([√∛])\s*(\(|\d+(?:\.\d+)?|[a-zA-Z])?")
 
-_SIZES = re.compile(r"\\(?:left|right|middle|[bB]igg?[lrm]?)(?![a-zA-Z])[ ]?\.?")
-_MATH_MARKS = re.compile(r"(?<!\\)\\[()\[\]]")
-_SPACES = re.compile(
-    r"\\q?quad|\\(?:displaystyle|textstyle|scriptstyle|limits|nolimits|thinspace|enspace|medspace|nobreak)"
-    r"(?![a-zA-Z])|\\[hv]space\*?\{[^{}]*\}|\\phantom\{[^{}]*\}|(?<!\\)\\[,;: >]|~|(?<!\\)\\(?=\s|$)|\s+"
-)
 _TEXT = re.compile(
     r"\\(?:text(?:bf|it|rm|sf|tt|sc|normal|up)?|mathrm|mathbf|mathit|mathsf|mathtt|mbox|hbox|emph|boldsymbol|bm"
     r"|operatorname\*?|mathop|underline|fbox|boxed|framebox|mathbin|mathord|ensuremath)\s*(?=\{)"
 )
-_COMMANDS = {
-    "dfrac": "frac", "tfrac": "frac", "cfrac": "frac", "leq": "le", "leqslant": "le", "geq": "ge", "geqslant": "ge",
-    "neq": "ne", "lbrace": "{", "rbrace": "}", "lt": "<", "gt": ">", "lvert": "|", "rvert": "|", "vert": "|",
-    "varnothing": "emptyset", "empty": "emptyset", "tbinom": "binom", "dbinom": "binom", "ast": "*", "dots": "ldots",
-    "cdots": "ldots", "lbrack": "[", "rbrack": "]", "lor": "vee", "degree": "circ", "colon": ":",
-    "thickapprox": "approx", "simeq": "approx", "geqq": "ge", "leqq": "le", "R": "mathbb{R}", "arctg": "arctan",
-    "tg": "tan", "ctg": "cot", "varphi": "phi", "varepsilon": "epsilon", "infin": "infty", "and": "text{ and }",
-    "or": "text{ or }", "percent": "%", "textpercent": "%", "textdollar": "$", "dollar": "$",
-    "bmod": "mod", "pmod": "mod", "pod": "mod", "asin": "arcsin", "acos": "arccos", "atan": "arctan",
-}  # fmt: skip
 _PLAIN = {"{", "}", "$", "%"}  # these keep their backslash: they are LaTeX's visible signs
-_COMMAND = re.compile(r"\\([a-zA-Z]+)")
-_BARE_FUNCTION = re.compile(
-    r"(?<![\\a-zA-Z])(sqrt|pi|infinity|infty|inf|sin|cos|tan|cot|sec(?=\s*[\w\\({^])|csc|arcsin|arccos|arctan|sinh|cosh|tanh|ln"
-    r"|log|exp|theta|alpha|beta|gamma|lambda|cup|frac|times|cdot)(?![a-zA-Z])"
-)
-# Minutes and seconds: there is nothing that these could be functions of.
-_UNIT_COMMAND = re.compile(r"(?<=\d)\s*\\(min|sec)(?=\s*(?:$|[,;.)]))")
-# What is left of the rows of an environment.
-_LINE_ENDS = re.compile(r"^(?:\\\\(?=[\s\d&.-])\s*|&\s*)+|(?:\\\\\s*|\\newline\s*|&\s*)+$")
-_GROUP = r"\\(?:text|mathrm|rm|textrm)\s*\{\s*"
-_UNIT_SIGN = re.compile(
-    rf"(?<=[\d}} ])(?:{_GROUP}([kM]?)\s*\\(Omega|AA)\s*\}}|(?:{_GROUP}([kM]?)\s*\}}\s*)?\\(Omega|AA)(?![a-zA-Z]))\s*$"
-)
-_MICRO = re.compile(rf"(?<=[\d}} ])(?:{_GROUP}\\mu\s*(?:\}}\s*{_GROUP})?|\\mu\s*{_GROUP})([a-zA-Z]{{1,3}})\s*\}}\s*$")
-_CHOOSE = re.compile(r"\{([^{}]{1,40})\\choose(?![a-zA-Z])([^{}]{1,40})\}")
-_UNIT_FRACTION = re.compile(r"\\frac\s*\{\s*\\text\s*\{([^{}]*)\}\s*\}\s*\{\s*\\text\s*\{([^{}]*)\}\s*\}")
-# One spelling for E_1 and E_{1}, x_{\max} and x_\text{max}, behind what may be a name.
-_INDEX = re.compile(
-    r"(?<=[A-Za-z}'])\s*_\s*(?:\\text\s*\{([^{}]*)\}|\{\s*\\(?:text\s*\{([^{}]*)\}|(max|min|inf|sup))\s*\}|\\(max|min|inf|sup)(?![a-zA-Z])|(\w))"
-)
-_PRIME = re.compile(r"\^\s*(?:\\prime(?![a-zA-Z])|\{\s*(?:\\prime\s*)+\})")
-_ORDINAL = re.compile(
-    r"(?<=\d)\s*(?:\^\s*)?(?:\{\s*\\text\s*\{\s*(?:st|nd|rd|th)\s*\}\s*\}|\\text\s*\{\s*(?:st|nd|rd|th)\s*\}"
-    r"|\{\s*(?:st|nd|rd|th)\s*\}|(?:st|nd|rd|th)(?=\s+[A-Za-z]{3}))"
-)
-_JOINED_FUNCTION = re.compile(r"(?<![\\a-zA-Z])(sin|cos|tan|cot|sec|csc|ln|log)(?=[xy](?![a-zA-Z]))")
-_SHORT_FRACTION = re.compile(r"\\frac\s*(\d)\s*(\d)")
-# Formulas on lines of their own are several, unless one goes on with a relation.
-_LINES = re.compile(r"(\$|\\\)|\\\])[ \t]*\n\s*(\$\$?|\\\(|\\\[)(?!\s*(?:[=<>&]|\\(?:le|ge|approx|quad)))")
-_NOT = re.compile(r"\\not\s*=")
-# A brace on the left alone, and rows behind it.
-_ONE_BRACE = re.compile(
-    r"\\left\s*\\\{\s*\\begin\s*\{(array|aligned|align\*?|gathered|matrix)\}(\s*\{[^{}]*\})?(.*?)\\end\s*\{\1\}\s*\\right\s*\.",
-    re.DOTALL,
-)
-# 1{,}000 is a thousand, and 2{,}5 two and a half.
-_BRACED_COMMA = re.compile(r"(?<![\d}.])(\d+)\{,\}(\d+)(?![\d{])")
-_UNIT_VECTOR = re.compile(r"\\hat\s*\{\s*(?:\\mathbf\s*\{\s*)?\\?([ijk])(?:math)?\s*(?:\}\s*)?\}")
-_TAG = re.compile(r"</?(?:b|i|em|strong|u|span|p|code|math|mark)>")
 # Words of two letters or more, with hyphens: not commands, and not what follows a hyphen that may be a minus.
 _PROSE = re.compile(r"(?<![\\A-Za-z_^])[^\W\d_]{2,}(?:(?:[-'\s]\s*)?[^\W\d_]{2,})*(?:'s)?")
 _WORD = re.compile(r"[^\W_]+", re.UNICODE)
@@ -101,43 +31,41 @@ _WORD = re.compile(r"[^\W_]+", re.UNICODE)
 def clean(text: str) -> str:
     r"""Return an answer in the one spelling that the reader knows; ``\text{}`` is all that is left of text commands."""
     text = text.strip()
-    if not text.isascii():
-        text = _ROOT.sub(_root, _SCRIPTS.sub(_scripts, text).translate(_TRANSLATION))
-        text = unicodedata.normalize("NFKC", text)
-    text = text.replace("**", " ^ " if re.search(r"\w\s*\*\*\s*[\w({-]", text) and not text.startswith("**") else " ")
-    text = _without_markup(text)
-    if r"\left" in text:
-        text = _ONE_BRACE.sub(r"\\begin{cases}\3\\end{cases}", text)
-    text = re.sub(r"\\!\s*", "", text)
-    text = (
-        (_BRACED_COMMA.sub(_braced_comma, text) if "{,}" in text else text)
-        .replace("{,}", ",")
-        .replace("{:}", ":")
-        .replace("``", '"')
-    )
-    if '"' in text or re.search(r"[A-Za-z}]''", text) is None:  # y'' is a derivative
-        text = text.replace("''", '"')
-    if "\\\\" in text and "matrix" not in text and "array" not in text and "cases" not in text:
-        text = re.sub(r"\\\\(?=[a-zA-Z({\[%$])", r"\\", text)  # models escape twice: \\frac is \frac
-    text = _LINE_ENDS.sub("", text)
-    text = _NOT.sub(r"\\ne ", text) if "\\not" in text else text
-    text = _dollars(_LINES.sub(r"\1, \2", text) if "\n" in text else text)
-    text = _SIZES.sub("", text)
-    text = re.sub(r"\\big(cup|cap)(?![a-zA-Z]|\s*_)", r"\\\1", text)
-    text = _MATH_MARKS.sub(" ", text)
-    text = _SPACES.sub(" ", text)
-    text = _unit_signs(text)
-    text = _COMMAND.sub(_command, text)
-    text = _PRIME.sub(lambda match: "'" * match[0].count("prime"), text) if r"\prime" in text else text
-    text = _text_groups(_UNIT_COMMAND.sub(r"\\text{\1}", text))
-    text = _ORDINAL.sub(" ", _INDEX.sub(_index, text) if "_" in text else text)
-    text = _BARE_FUNCTION.sub(lambda match: "\\" + {"infinity": "infty", "inf": "infty"}.get(match[1], match[1]), text)
-    text = _CHOOSE.sub(r"\\binom{\1}{\2}", text) if r"\choose" in text else text
-    text = _UNIT_FRACTION.sub(r"\\text{\1/\2}", text) if r"\text" in text else text
-    text = _JOINED_FUNCTION.sub(r"\\\1 ", text)
-    text = _UNIT_VECTOR.sub(r"\1", text) if r"\hat" in text else text
-    text = text.replace(r"\text{\infty}", r"\infty ")
-    return _strip(_SHORT_FRACTION.sub(r"\\frac{\1}{\2}", text) if r"\frac" in text else text)
+    for reading in SPELLINGS.values():
+        text = reading(text)
+    return text
+
+
+def _sub(pattern: str, replacement: str | Callable[[re.Match[str]], str]) -> Callable[[str], str]:
+    return partial(re.compile(pattern, re.DOTALL).sub, replacement)
+
+
+def _unicode(text: str) -> str:
+    if text.isascii():
+        return text
+    return unicodedata.normalize("NFKC", _ROOT.sub(_root, _SCRIPTS.sub(_scripts, text).translate(_TRANSLATION)))
+
+
+def _stars(text: str) -> str:
+    power = re.search(r"\w\s*\*\*\s*[\w({-]", text) and not text.startswith("**")
+    return text.replace("**", " ^ " if power else " ")
+
+
+def _without_marks_around(text: str) -> str:
+    text = text.strip()
+    around = len(text) > 2 and text[0] == text[-1] and text[0] in '"`' and text[0] not in text[1:-1]
+    return text[1:-1].strip() if around else text
+
+
+def _quotes(text: str) -> str:
+    text = text.replace("``", '"')
+    derivative = '"' not in text and re.search(r"[A-Za-z}]''", text)
+    return text if derivative else text.replace("''", '"')
+
+
+def _escaped_twice(text: str) -> str:
+    rows = "matrix" in text or "array" in text or "cases" in text
+    return text if rows else re.sub(r"\\\\(?=[a-zA-Z({\[%$])", r"\\", text)
 
 
 def _index(match: re.Match[str]) -> str:
@@ -146,19 +74,18 @@ def _index(match: re.Match[str]) -> str:
 
 def _unit_signs(text: str) -> str:
     """Write ohm, angstrom and what begins with micro behind a number, which have signs of mathematics, as words."""
-    if not any(sign in text for sign in (r"\Omega", r"\AA", r"\mu")) or not re.match(r"\s*-?[\d.]", text):
+    if not re.match(r"\s*-?[\d.]", text):
         return text
     names = {"Omega": "ohm", "AA": "angstrom"}
     text = _UNIT_SIGN.sub(lambda sign: rf"\text{{ {sign[1] or sign[3] or ''}{names[sign[2] or sign[4]]}}}", text)
     return _MICRO.sub(r"\\text{ micro\1}", text)
 
 
-def _without_markup(text: str) -> str:
-    """Take away quotation marks and code marks around all of an answer, and the tags that make it bold or italic."""
-    text = _TAG.sub(" ", text).strip() if "<" in text else text
-    if len(text) > 2 and text[0] == text[-1] and text[0] in '"`' and text[0] not in text[1:-1]:
-        text = text[1:-1].strip()
-    return text
+_GROUP = r"\\(?:text|mathrm|rm|textrm)\s*\{\s*"
+_UNIT_SIGN = re.compile(
+    rf"(?<=[\d}} ])(?:{_GROUP}([kM]?)\s*\\(Omega|AA)\s*\}}|(?:{_GROUP}([kM]?)\s*\}}\s*)?\\(Omega|AA)(?![a-zA-Z]))\s*$"
+)
+_MICRO = re.compile(rf"(?<=[\d}} ])(?:{_GROUP}\\mu\s*(?:\}}\s*{_GROUP})?|\\mu\s*{_GROUP})([a-zA-Z]{{1,3}})\s*\}}\s*$")
 
 
 def worded(text: str) -> tuple[str, list[str]]:
@@ -202,8 +129,7 @@ _BRACES = re.compile(r"\\[\\{}]|[{}]")
 
 
 def _braced_comma(match: re.Match[str]) -> str:
-    thousands = len(match[2]) == 3 and match[1] != "0" and len(match[1]) <= 3
-    return f"{match[1]}{',' if thousands else '.'}{match[2]}"
+    return f"{match[1]}{',' if len(match[2]) == 3 else '.'}{match[2]}"
 
 
 def _scripts(match: re.Match[str]) -> str:
@@ -220,16 +146,8 @@ def _root(match: re.Match[str]) -> str:
     return root + (match[2] if match[2] == "(" else f"{{{match[2]}}}")
 
 
-def _dollars(text: str) -> str:
-    r"""Take away what only begins and ends mathematics; ``\$`` and a lone leading ``$`` are money."""
-    bare = re.findall(r"(?<!\\)\$", text)
-    money = len(bare) % 2 == 1 and re.match(r"\s*-?\$\s*-?[\d.]", text) is not None
-    text = re.sub(r"(?<!\\)\$", "", text)
-    return re.sub(r"^(\s*-?)", r"\1\\$", text, count=1) if money else text
-
-
 def _command(match: re.Match[str]) -> str:
-    name = _COMMANDS.get(match[1])
+    name: str | None = WORDS["commands"].get(match[1])
     if name is None:
         return match[0]
     if name in _PLAIN or name[0].isalpha():
@@ -260,7 +178,7 @@ def _text_groups(text: str) -> str:
 
 def _text_group(command: str, inner: str, behind: str) -> str:
     body = inner.strip()
-    body = _COMMANDS.get(body, body) if command.startswith(r"\operatorname") else body
+    body = WORDS["commands"].get(body, body) if command.startswith(r"\operatorname") else body
     if re.match(r"\\(?:boxed|fbox|framebox|underline|ensuremath|mathbin|mathord|mathop)", command):
         return f" {clean(inner)} " if len(inner) < 10_000 else inner
     if (
@@ -299,6 +217,70 @@ def _strip(text: str) -> str:
             text, groups = text[1:-1], groups + 1
         else:
             return text
+
+
+SPELLINGS: dict[str, Callable[[str], str]] = {
+    "signs of Unicode": _unicode,
+    "** as a power, or bold": _stars,
+    "tags of HTML": _sub(r"</?(?:b|i|em|strong|u|span|p|code|math|mark)>", " "),
+    "quotation marks around": _without_marks_around,
+    "a brace on the left alone": _sub(
+        r"\\left\s*\\\{\s*\\begin\s*\{(array|aligned|align\*?|gathered|matrix)\}(\s*\{[^{}]*\})?(.*?)\\end\s*\{\1\}\s*\\right\s*\.",
+        r"\\begin{cases}\3\\end{cases}",
+    ),
+    r"\!": _sub(r"\\!\s*", ""),
+    "1{,}000 and 2{,}5": _sub(r"(?<![\d}.])(\d+)\{,\}(\d+)(?![\d{])", _braced_comma),
+    "{,} and {:}": _sub(r"\{([,:])\}", r"\1"),
+    "two signs for a quotation mark": _quotes,
+    "backslashes escaped twice": _escaped_twice,
+    "ends of rows": _sub(r"^(?:\\\\(?=[\s\d&.-])\s*|&\s*)+|(?:\\\\\s*|\\newline\s*|&\s*)+$", ""),
+    r"\not=": _sub(r"\\not\s*=", r"\\ne "),
+    # Unless one goes on with a relation.
+    "formulas on lines of their own": _sub(
+        r"(\$|\\\)|\\\])[ \t]*\n\s*(\$\$?|\\\(|\\\[)(?!\s*(?:[=<>&]|\\(?:le|ge|approx|quad)))", r"\1, \2"
+    ),
+    "dollar signs": _sub(r"(?<!\\)\$", ""),
+    "sizes of brackets": _sub(r"\\(?:left|right|middle|[bB]igg?[lrm]?)(?![a-zA-Z])[ ]?\.?", ""),
+    r"\bigcup between sets": _sub(r"\\big(cup|cap)(?![a-zA-Z]|\s*_)", r"\\\1"),
+    r"\( and \[": _sub(r"(?<!\\)\\[()\[\]]", " "),
+    "white space": _sub(
+        r"\\q?quad|\\(?:displaystyle|textstyle|scriptstyle|limits|nolimits|thinspace|enspace|medspace|nobreak)"
+        r"(?![a-zA-Z])|\\[hv]space\*?\{[^{}]*\}|\\phantom\{[^{}]*\}|(?<!\\)\\[,;: >]|~|(?<!\\)\\(?=\s|$)|\s+",
+        " ",
+    ),
+    "signs of units": _unit_signs,
+    "other names of commands": _sub(r"\\([a-zA-Z]+)", _command),
+    "primes": _sub(r"\^\s*(?:\\prime(?![a-zA-Z])|\{\s*(?:\\prime\s*)+\})", lambda match: "'" * match[0].count("prime")),
+    # There is nothing that these could be functions of.
+    "minutes and seconds": _sub(r"(?<=\d)\s*\\(min|sec)(?=\s*(?:$|[,;.)]))", r"\\text{\1}"),
+    "text commands": _text_groups,
+    # One spelling for E_1 and E_{1}, x_{\max} and x_\text{max}, behind what may be a name.
+    "indices": _sub(
+        r"(?<=[A-Za-z}'])\s*_\s*(?:\\text\s*\{([^{}]*)\}|\{\s*\\(?:text\s*\{([^{}]*)\}|(max|min|inf|sup))\s*\}"
+        r"|\\(max|min|inf|sup)(?![a-zA-Z])|(\w))",
+        _index,
+    ),
+    "ordinals": _sub(
+        r"(?<=\d)\s*(?:\^\s*)?(?:\{\s*\\text\s*\{\s*(?:st|nd|rd|th)\s*\}\s*\}|\\text\s*\{\s*(?:st|nd|rd|th)\s*\}"
+        r"|\{\s*(?:st|nd|rd|th)\s*\}|(?:st|nd|rd|th)(?=\s+[A-Za-z]{3}))",
+        " ",
+    ),
+    "functions without a backslash": _sub(
+        r"(?<![\\a-zA-Z])(sqrt|pi|infinity|infty|inf|sin|cos|tan|cot|sec(?=\s*[\w\\({^])|csc|arcsin|arccos|arctan|sinh"
+        r"|cosh|tanh|ln|log|exp|theta|alpha|beta|gamma|lambda|cup|frac|times|cdot)(?![a-zA-Z])",
+        lambda match: "\\" + {"infinity": "infty", "inf": "infty"}.get(match[1], match[1]),
+    ),
+    r"\choose": _sub(r"\{([^{}]{1,40})\\choose(?![a-zA-Z])([^{}]{1,40})\}", r"\\binom{\1}{\2}"),
+    "fractions of units": _sub(
+        r"\\frac\s*\{\s*\\text\s*\{([^{}]*)\}\s*\}\s*\{\s*\\text\s*\{([^{}]*)\}\s*\}", r"\\text{\1/\2}"
+    ),
+    "functions joined with x": _sub(r"(?<![\\a-zA-Z])(sin|cos|tan|cot|sec|csc|ln|log)(?=[xy](?![a-zA-Z]))", r"\\\1 "),
+    "unit vectors": _sub(r"\\hat\s*\{\s*(?:\\mathbf\s*\{\s*)?\\?([ijk])(?:math)?\s*(?:\}\s*)?\}", r"\1"),
+    "infinity as text": _sub(r"\\text\{\\infty\}", r"\\infty "),
+    "short fractions": _sub(r"\\frac\s*(\d)\s*(\d)", r"\\frac{\1}{\2}"),
+    "marks and groups around": _strip,
+}
+"""Other spellings of one thing, in the order in which they are read; scripts/grader_readings.py tries each."""
 
 
 _TOKEN = re.compile(
@@ -410,11 +392,6 @@ def plain_brackets(text: str) -> str:
     return _INTERVAL.sub(
         lambda match: f"{'[' if match[1] == '[' else '('}{match[2]}{']' if match[3] == ']' else ')'}", text
     )
-
-
-def has_no_brackets(text: str) -> bool:
-    """Return whether there are no brackets but LaTeX's braces."""
-    return not re.search(r"[(\[]|\\\{|\\langle", text)
 
 
 def text_inside(text: str) -> str:
