@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 
-import click
 import pytest
 from click.shell_completion import ShellComplete
 
@@ -54,26 +51,6 @@ def completed(*words: str) -> list[str]:
 def test_words_are_completed(words: tuple[str, ...], offered: list[str]) -> None:
     """Commands, options, ids, agents, wrappers and plugins."""
     assert completed(*words) == offered
-
-
-def test_every_command_completes_ids_and_agents() -> None:
-    """Also those of plugins: whatever calls its value an ID, an AGENT or a RUN has words or files to offer."""
-    named = {"ID": "one:A", "AGENT": "ran", "RUN": ""}
-    for path, param in _parameters(cli, click.Context(cli)):
-        wanted = next((word for word in named if word in re.split(r"\W+", param.metavar or "")), None)
-        if wanted and not isinstance(param.type, click.types.IntParamType):
-            context = click.Context(click.Command("gem"), resilient_parsing=True)
-            assert param.shell_complete(context, named[wanted]), f"{path}: {param.opts} completes no {wanted}"
-
-
-def _parameters(command: click.Command, context: click.Context) -> Iterator[tuple[str, click.Parameter]]:
-    for param in command.params:
-        yield context.command_path, param
-    if isinstance(command, click.Group):
-        for name in command.list_commands(context):
-            below = command.get_command(context, name)
-            assert below is not None
-            yield from _parameters(below, click.Context(below, parent=context, info_name=name))
 
 
 def test_broken_plugin_says_nothing_while_somebody_types(

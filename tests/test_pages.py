@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from distributions import gem_in
 
 from gem_core.parsing import extract_code_blocks
 from gem_core.tools.env import ToolEnv
@@ -126,15 +127,7 @@ def test_the_plugin_written_by_hand_is_found(tmp_path: Path) -> None:
     installed.mkdir()
     (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: gem-mine\nVersion: 0.1.0\n")
     (installed / "entry_points.txt").write_text(f"[{group}]\n{entry.replace(chr(34), '')}\n")
-    done = subprocess.run(
-        [sys.executable, "-m", "gem_core", "list", "mine"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    done = gem_in([tmp_path], "list", "mine")
     assert done.stdout.split()[0] == "mine:Reverse-v0"
     assert done.stderr == ""
 

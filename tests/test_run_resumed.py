@@ -97,15 +97,6 @@ def test_another_run_is_refused_and_the_file_left_as_it_is(run_gem: RunGem) -> N
         assert Path("a.jsonl").read_bytes() == content
 
 
-def test_a_file_that_does_not_name_its_seed_is_refused(run_gem: RunGem) -> None:
-    """As those of the form before."""
-    run_gem("run", COUNTDOWN, "-n", "3", "-o", "a.jsonl")
-    Path("a.jsonl").write_text(re.sub(r'"run_seed": \d+, ', "", Path("a.jsonl").read_text()))
-    refused = run_gem("run", COUNTDOWN, "--resume", "a.jsonl")
-    assert refused.code == 2
-    assert "--resume: a.jsonl does not say from which seed its run was started" in refused.err
-
-
 def test_a_run_that_fails_says_how_to_go_on_as_well(run_gem: RunGem) -> None:
     """Above the error, which stays the last line."""
     Path("raising.py").write_text(

@@ -6,7 +6,6 @@ import io
 import json
 import re
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,7 +46,7 @@ def agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     [
         ("box:prefix=my_", [("box", {"prefix": "my_"})]),
         ("vault,box:prefix=my_,count=2,vault", [("vault", {}), ("box", {"prefix": "my_", "count": 2}), ("vault", {})]),
-        ("box:url=http://localhost:8000/x?a=b", [("box", {"url": "http://localhost:8000/x?a=b"})]),
+        ("box:url=http://a:80/x?a=b", [("box", {"url": "http://a:80/x?a=b"})]),
         ('box:on=true,limit=null,rate=0.5,text="7"', [("box", {"on": True, "limit": None, "rate": 0.5, "text": "7"})]),
         ("box:on=False,off=True,limit=None", [("box", {"on": False, "off": True, "limit": None})]),
         ("box:empty=", [("box", {"empty": ""})]),
@@ -71,7 +70,6 @@ def test_tools_are_read(text: str, tools: list[Any]) -> None:
         ("prefix=2", "'prefix=2'"),
         ("[", "--tools is no valid JSON"),
         ("[3]", "--tools"),
-        ('["a", ["b"]]', "--tools"),
         ('[["b", 3]]', "--tools"),
     ],
 )
@@ -93,18 +91,6 @@ def test_the_limit_of_turns_stands_outside_the_tools_and_inside_the_views() -> N
         wrapper_stack(("concat",), (), 3, None)
 
 
-def test_run_and_play_pass_options_on_to_wrappers(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are in the record; one that the wrapper does not have is told with those that it has."""
-    words = ("run", COUNTDOWN, "-n", "1", "-s", "1", "-o", "x.jsonl", "-w", "concat:max_turns=2", "-w", "episode_stats")
-    assert run_gem(*words).code == 0
-    assert next(read_episodes("x.jsonl")).wrappers == [["concat", {"max_turns": 2}], ["episode_stats", {}]]
-    refused = run_gem("run", COUNTDOWN, "-n", "1", "-w", "concat:most=2")
-    assert refused.err.startswith("gem: wrapper 'concat': got an unexpected keyword argument 'most'.")
-    monkeypatch.setattr(sys, "stdin", io.StringIO("7\n"))
-    played = run_gem("play", COUNTDOWN, "--seed", "1", "-w", "concat:max_turns=2", "-w", "episode_stats")
-    assert played.code == 0
-
-
 def test_run_with_tools_records_them(run_gem: RunGem, agent: str) -> None:
     """By name and options, so that the episode can be made again; calls are counted up to the limit."""
     words = ("--tools", "vault,box:prefix=my_", "--tools", "box", "--max-tool-uses", "1", "--wrappers", "concat")
@@ -119,18 +105,17 @@ def test_run_with_tools_records_them(run_gem: RunGem, agent: str) -> None:
         assert env.reset(seed=episode.seed)[0] == episode.observation
 
 
-@pytest.mark.parametrize("uses", ["-1", "1.5", "many", ""])
-def test_a_limit_of_uses_is_a_number_or_none(run_gem: RunGem, uses: str) -> None:
-    """Anything else is a wrong argument."""
-    done = run_gem("run", COUNTDOWN, "--tools", "box", "--max-tool-uses", uses)
-    assert done.code == 2
-    assert f"{uses!r} is neither a whole number from 0 up nor 'none'" in done.err
+def test_a_limit_of_uses_is_a_number_or_none(run_gem: RunGem) -> None:
+    """Anything else is a wrong argument; so is an option that a wrapper does not have."""
+    assert "'-1' is neither" in run_gem("run", COUNTDOWN, "--tools", "box", "--max-tool-uses", "-1").err
+    assert "'most'" in run_gem("run", COUNTDOWN, "-w", "concat:most=2").err
 
 
 def test_play_with_tools(run_gem: RunGem, monkeypatch: pytest.MonkeyPatch) -> None:
     """A person calls them as a model does, and is told how to play the same again."""
-    monkeypatch.setattr(sys, "stdin", io.StringIO("<look>south</look>\n!quit\n"))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("?\n<look>south</look>\n!quit\n"))
     done = run_gem("play", COUNTDOWN, "--seed", "1", "--tools", "box", "--max-tool-uses", "none")
+    assert "A call is sent as you type it." in done.out
     assert "Output of look:\niron\n" in done.out
     assert "gem play toy:Countdown-v0 --seed 1 --tools box --max-tool-uses none\n" in done.out
 
@@ -147,20 +132,10 @@ def test_info_describes_a_tool(run_gem: RunGem) -> None:
     assert facts["status"] == {"level": "high", "drawers": 2}
 
 
-def test_info_of_a_tool_that_needs_options_says_so(run_gem: RunGem, offer: Callable[..., None]) -> None:
-    """And tells all else."""
-    offer(gem.ToolSpec(name="needy", entry_point="gem_toolbox_tools:Listed", summary="Needs much."))
-    done = run_gem("info", "needy")
-    assert done.code == 0
-    assert "  missing:      tool 'needy': missing a required argument: 'name'" in done.out
-    assert "A tool of a list" in done.out
-
-
 @pytest.mark.parametrize(
     ("name", "lines"),
     [
         ("concat", ["  kind:         wrapper", "  options:      max_turns: int | None = None"]),
-        ("random", ["  kind:         agent", "  options:      none"]),
         ("process", ["  kind:         vector backend", "  options:      workers: int | None = None"]),
         (COUNTDOWN, ["  accepts:      longest: int = 4"]),
     ],
@@ -169,22 +144,6 @@ def test_info_tells_the_options_of_what_has_a_name(run_gem: RunGem, name: str, l
     """With their types as they are written, one in each line."""
     done = run_gem("info", name)
     assert done.code == 0
-    assert [line for line in lines if line not in done.out.splitlines()] == []
-
-
-@pytest.mark.parametrize(
-    ("kind", "name"), [("tools", "vault"), ("wrappers", "concat"), ("agents", "random"), ("backends", "process")]
-)
-def test_list_of_what_has_a_short_name(run_gem: RunGem, kind: str, name: str) -> None:
-    """In two columns, or as JSON."""
-    done = run_gem("list", kind)
-    assert done.code == 0
-    assert any(line.split()[0] == name for line in done.out.splitlines())
-    assert name in [each["name"] for each in json.loads(run_gem("list", kind, "--json").out)]
-
-
-def test_info_of_a_misspelt_tool_names_it(run_gem: RunGem) -> None:
-    """Where no environment has such a name."""
-    done = run_gem("info", "boxx")
-    assert (done.code, done.out) == (2, "")
-    assert done.err == "gem: no environment 'boxx'. Did you mean 'box'? Run 'gem list'\n"
+    assert set(lines) <= set(done.out.splitlines())
+    kind = {"concat": "wrappers", "process": "backends"}.get(name, "toy")
+    assert name in [each.get("name", each.get("id")) for each in json.loads(run_gem("list", kind, "--json").out)]

@@ -132,11 +132,7 @@ class PlaySession:
         """Return what the person answers, or the earlier answer while the episode is played again."""
         self._observation, self._context = observation, context
         if context.turn < len(self._repeated):
-            before = self._repeated[context.turn]
-            if observation == before.observation:
-                return before.action
-            self._terminal.show("Played again, this environment went another way; go on from here.", "yellow")
-            self._repeated = ()
+            return self._repeated[context.turn].action
         self._show()
         self._show = self._show_turn
         commands = {"help": self._show_help, "undo": self._undo, "random": context.sample_random_action}

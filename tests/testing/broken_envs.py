@@ -247,16 +247,6 @@ class SharingForkEnv(GoodEnv):
     shared_by_forks = ("guesses",)
 
 
-@breaks("fork")
-class ForgetfulForkEnv(GoodEnv):
-    """Its forks lack the guesses."""
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
-        other = super().__deepcopy__(memo)
-        other.guesses = []
-        return other
-
-
 # Environments of several agents.
 
 

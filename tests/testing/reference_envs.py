@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import random
 import re
-import string
 from functools import cached_property
 from typing import Any
 
-from gem_core import TERMINAL_STATE, Env, extract_last_boxed_answer
+from gem_core import Env, extract_last_boxed_answer
 from gem_core.env.base import AsyncEnv
 from gem_core.env.spaces import Content
 from gem_core.env.wrapper import Wrapper
@@ -118,31 +116,3 @@ class CountingWrapper(Wrapper):
         self.count += self.width
         result[4]["count"] = self.count
         return result
-
-
-class ReverseStringEnv(Env):
-    """The second listing of the GEM paper, with only its imports changed.
-
-    Source: Liu et al., GEM: A Gym for Agentic LLMs, arXiv:2510.01051.
-    """
-
-    def __init__(self, str_len: int = 5):
-        super().__init__()
-        self.str_len = str_len
-
-    def _get_instructions(self):
-        return f"You are tasked to reverse the string {self.gt_str!r}. Put your answer in \\boxed{{}}."
-
-    def reset(self, seed=None):
-        super().reset(seed)
-        characters = string.ascii_letters + string.digits
-        self.gt_str = "".join(random.choices(characters, k=self.str_len))
-        return self._get_instructions(), {}
-
-    def step(self, action):
-        clean_action = extract_last_boxed_answer(action)
-        if clean_action is None:  # noqa: SIM108 - the listing is kept as it is printed
-            reward = 0
-        else:
-            reward = float(clean_action[::-1] == self.gt_str)
-        return TERMINAL_STATE, reward, True, True, {}

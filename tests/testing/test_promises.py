@@ -24,7 +24,7 @@ from broken_envs import (
     UnrepeatableEnv,
 )
 from joint_toys import AuctionEnv, CountdownEnv
-from reference_envs import CountingWrapper, GoodAsyncEnv, GoodEnv, PictureEnv, ReverseStringEnv, ThreadEnv
+from reference_envs import CountingWrapper, GoodAsyncEnv, GoodEnv, PictureEnv, ThreadEnv
 
 from gem_core import EnvSpec, make, register
 from gem_core.env.guard import Guard
@@ -53,16 +53,6 @@ def test_a_step_that_raises_is_said_first_with_its_place() -> None:
     assert "step('') raised ValueError" in raised
     assert f"broken_envs.py:{line})" in raised
     assert untried.startswith("  not tried, types, ")
-
-
-def test_paper_listing_breaks_what_it_breaks() -> None:
-    """The second listing of arXiv:2510.01051 runs; these are the promises that it does not keep."""
-    broken = broken_by(ReverseStringEnv)
-    of_steps = {"episode", "types", "hostile-actions", "valid-sample", "gymnasium"}
-    assert set(broken) == {"determinism", "global-random", *of_steps}
-    assert "reset() changed the state of random" in broken["global-random"]
-    assert "terminated and truncated, both True" in broken["types"]
-    assert "does not provide an `options`" in broken["gymnasium"]
 
 
 def test_what_cannot_be_forked_is_skipped() -> None:
