@@ -20,7 +20,7 @@ class Guard(Wrapper):
 
     def __init__(self, env: AnyEnv) -> None:
         super().__init__(env)
-        self._whose = f"{type(self.unwrapped).__name__}: "
+        self._whose = f"{type(env.unwrapped).__name__}: "
 
     def step(self, action: str) -> StepResult:
         """Step, if the episode is under way."""

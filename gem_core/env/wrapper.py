@@ -151,11 +151,6 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
         return most_demanding(own, self.needs, concurrency_of(self.env))
 
     @property
-    def unwrapped(self) -> Env:
-        """The task itself, without any wrapper."""
-        return cast("Env", self.env.unwrapped)
-
-    @property
     def spec(self) -> Any:  # type: ignore[override]  # Gymnasium has a property, too
         """The ``MadeSpec`` of the environment, this wrapper included; None for one that ``make`` did not make."""
         inner: Any = self.env.spec

@@ -103,8 +103,8 @@ class ToolEnv(Wrapper):
         self.tools = tools
         self._reader = CallReader(
             tools,
-            answer_fences=self.unwrapped.answer_fences,
-            answer_tags=self.unwrapped.answer_tags,
+            answer_fences=self.answer_fences,
+            answer_tags=self.answer_tags,
             thinking_tag=self._thinking_tag,
         )
         self._sessions = ToolSessions(tools, self._call_timeout_s)
