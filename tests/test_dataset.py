@@ -31,14 +31,7 @@ def test_row_is_drawn_by_seed_without_options() -> None:
 
 @pytest.mark.parametrize(
     ("action", "answer"),
-    [
-        ("\\boxed{4}", "4"),
-        ("so \\boxed{ 4 }", "4"),
-        ("<answer>4</answer>", "4"),
-        ("\\boxed{5}", "5"),
-        ("4", None),
-        ("", None),
-    ],
+    [("so \\boxed{ 4 }", "4"), ("<answer>4</answer>", "4"), ("\\boxed{5}", "5"), ("4", None), ("", None)],
 )
 def test_default_grade_compares_the_boxed_or_tagged_answer(action: str, answer: str | None) -> None:
     """Letter for letter, white space around it apart; a response without an answer has none."""
@@ -75,17 +68,11 @@ def test_a_grader_that_fails_is_an_error_and_no_reward() -> None:
     assert "correct" not in info
 
 
-@pytest.mark.parametrize("index", [-1, 5, 1.0, "1", True, None])
-def test_index_out_of_range_is_refused(index: object) -> None:
-    """The error names the range."""
-    with pytest.raises(ArgumentError, match="from 0 to 4"):
-        gem.DatasetEnv(ROWS).reset(options={"index": index})
-
-
-def test_unknown_option_is_refused() -> None:
-    """The error names the nearest."""
-    with pytest.raises(ArgumentError, match=r"'indx'.* 'index'"):
-        gem.DatasetEnv(ROWS).reset(options={"indx": 1})
+@pytest.mark.parametrize("options", [*({"index": index} for index in (-1, 5, 1.0, "1", True, None)), {"indx": 1}])
+def test_index_out_of_range_is_refused(options: Any) -> None:
+    """The error names the range, or the option that there is."""
+    with pytest.raises(ArgumentError, match=r"from 0 to 4|'index'"):
+        gem.DatasetEnv(ROWS).reset(options=options)
 
 
 @pytest.mark.parametrize(
@@ -132,16 +119,12 @@ def test_fork_grades_against_the_same_row() -> None:
     assert other.rows is env.rows
 
 
-def test_braces_of_a_problem_survive() -> None:
-    """Only places of the template are filled, and what fills them is not read again."""
+def test_template_fills_its_places_alone() -> None:
+    """In one pass: what fills them is not read again; one that shows nothing of a row is refused."""
     rows = [{"question": "{level} of {question} in \\frac{1}{2}", "answer": "1", "level": "{answer}"}]
     env = gem.DatasetEnv(rows, prompt_template="{level}: {question} {}{{x}}")
     assert env.reset()[0] == "{answer}: {level} of {question} in \\frac{1}{2} {}{{x}}"
-
-
-def test_template_without_a_place_is_refused() -> None:
-    """The error names the places there could be, the gold answer's not among them."""
-    with pytest.raises(ArgumentError, match=r"It may name \{question\} or a column: \{question\}, \{name\}$"):
+    with pytest.raises(ArgumentError, match=r": \{question\}, \{name\}$"):
         gem.DatasetEnv(ROWS, prompt_template="Solve {questoin}: {answer}")
 
 

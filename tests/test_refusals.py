@@ -104,16 +104,11 @@ def test_what_is_closed_stays_closed(backend: str) -> None:
     vector.close()
     for call in (
         vector.reset,
-        lambda: vector.reset(seed=2),
         lambda: vector.step(["a", "a"]),
         lambda: vector.send({0: "a"}),
         vector.recv,
         lambda: vector.describe(0),
-        lambda: vector.sample_random_action(0),
-        lambda: vector.tasks(INLINE),
-        lambda: run_sync(vector.reset_async()),
         lambda: run_sync(vector.step_async(["a", "a"])),
-        lambda: run_sync(vector.recv_async()),
         lambda: next(gem.rollout(vector, lambda observation: "a", episodes=1)),
     ):
         with pytest.raises(ClosedError):
