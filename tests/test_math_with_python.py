@@ -17,21 +17,6 @@ MATH = {
     r"largest whole number that divides both (\d+) and (\d+)\?": "import math; print(math.gcd({0}, {1}))",
     r"ring every (\d+), (\d+) and (\d+) minutes": "import math; print(math.lcm({0}, {1}, {2}))",
     r"remainder when \$(\d+)\^\{(\d+)\}\$ is divided by \$(\d+)\$": "print(pow({0}, {1}, {2}))",
-    r"Write the decimal number (\d+) in base (\d+)": (
-        "number, digits = {0}, ''\nwhile number:\n    number, digit = divmod(number, {1})\n"
-        "    digits = str(digit) + digits\nprint(digits)"
-    ),
-    r"List all positive divisors of (\d+) as a set": (
-        "print('{{' + ', '.join(str(n) for n in range(1, {0} + 1) if {0} % n == 0) + '}}')"
-    ),
-    r"Multiply: \$([\d.]+) \\times ([\d.]+)\$": "from decimal import Decimal; print(Decimal('{0}') * Decimal('{1}'))",
-    r"sides (\d+), (\d+) and (\d+)\. Is it acute, right or obtuse": (
-        "a, b, c = sorted([{0}, {1}, {2}])\nrest = a * a + b * b - c * c\n"
-        "print('right' if not rest else 'acute' if rest > 0 else 'obtuse')"
-    ),
-    r"Compute \$\((-?\d+[+-]\d+)i\)\((-?\d+[+-]\d+)i\)\$": (
-        "product = complex('{0}j') * complex('{1}j')\nprint(f'{{product.real:.0f}}{{product.imag:+.0f}}i')"
-    ),
 }
 
 
@@ -60,12 +45,12 @@ def programmed(ids: str, programs: dict[str, str], **run: Any) -> list[Any]:
 
 @pytest.mark.thorough
 def test_an_agent_solves_problems_of_the_sample_with_the_python_tool() -> None:
-    """The 40 problems of eight families, in two turns each; what it has no program for, it does not solve."""
+    """The 15 problems of three families, in two turns each; what it has no program for, it does not solve."""
     with gem.make("math:Sample") as env:
         problems = [str(env.reset(options={"index": index})[0]) for index in range(env.unwrapped.num_tasks)]
     known = [index for index, text in enumerate(problems) if any(re.search(pattern, text) for pattern in MATH)]
     others = [index for index in range(len(problems)) if index not in known][:8]
-    assert len(known) == 40
+    assert len(known) == 15
     plan = [gem.PlanItem(options={"index": index}) for index in known + others]
     episodes = programmed("math:Sample", MATH, plan=plan)
     assert len(episodes) == len(plan)

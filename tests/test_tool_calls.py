@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import re
 from collections.abc import Mapping
@@ -17,7 +16,6 @@ from toys import Calculator, EchoEnv
 import gem_core as gem
 from gem_core.registry.lookup import Registry
 from gem_core.registry.specs import CallFormatSpec
-from gem_core.tools.calls import WELL_KNOWN
 from gem_core.tools.env import ToolEnv
 
 
@@ -25,7 +23,6 @@ class Lookup(gem.Tool):
     """Has one text and an option; fenced blocks are calls too."""
 
     name = "lookup"
-    description = "Looks something up."
     fences = ("lookup",)
     concurrency = "inline"
 
@@ -84,8 +81,6 @@ def json_call(name: str, **arguments: Any) -> str:
 
 QUERY = query("x")
 CALL = "<lookup>x</lookup>"
-BOTH_FENCES = "```lookup\nx\n```\n```lookup\ny\n```"
-BOTH_TAGS = "<lookup>x</lookup> <lookup>y</lookup>"
 INNER = json_call("calculator", left=1, right=1)
 
 
@@ -94,46 +89,38 @@ INNER = json_call("calculator", left=1, right=1)
     [
         # JSON, as models write it; a program in a string is what it is.
         ('I look: <tool_call>{"name": "lookup", "arguments": {"query": "x"}}</tool_call>', QUERY),
-        ('<tool_call>{"name": "lookup", "parameters": {"query": "x"}}</tool_call>', QUERY),
+        ('<tool_call>{"name": "lookup", "parameters": {"query": "x"}} ', QUERY),
         ('<tool_call>{"name": "lookup", "arguments": "{\\"query\\": \\"x\\"}"}</tool_call>', QUERY),
         ('<tool_call>{"name": "lookup", "arguments": "x"}</tool_call>', QUERY),
         (json_call("lookup", query="print('</tool_call>')\n[1, ]"), query("print('</tool_call>')\n[1, ]")),
         ('<tool_call>{"name": "lookup", "arguments": {"query": "a\nb,]"}}</tool_call>', query("a\nb,]")),
-        # A tool without a text form takes its arguments in a tag.
-        ('<calculator>{"left": 1, "right": 2}</calculator>', ("calculator", {"left": 1, "right": 2})),
         # In a block of another language, unless that is the task's answer.
         (f"```xml\n{CALL}\n```", QUERY),
-        (f"```json\n{json_call('lookup', query='x')}\n```", QUERY),
         (f"```text\nprint('{CALL}')\n```", None),
         (f"```text\nmine\n```\n{CALL}", QUERY),
         ("<lookup>\n```text\nx\n```\n</lookup>", query("```text\nx\n```")),
-        # A tag around a fence and a fence around a tag are one call.
+        # A tag around a fence is one call.
         *((f"<lookup>\n{fence}\nx\n{fence[:3]}\n</lookup>", QUERY) for fence in ("```lookup", "```", "~~~lookup")),
-        ("```lookup\n<lookup>\nx\n</lookup>\n```", QUERY),
-        (f"<lookup>{BOTH_FENCES}</lookup>", query(BOTH_FENCES)),
-        (f"```lookup\n{BOTH_TAGS}\n```", query(BOTH_TAGS)),
         # Of two nested calls the outer one is executed.
-        ("<lookup><calculator>1</calculator></lookup>", query("<calculator>1</calculator>")),
         (f"<lookup>{INNER}</lookup>", query(INNER)),
         (json_call("lookup", query="<lookup>y</lookup>"), query("<lookup>y</lookup>")),
         ("```lookup\nso <lookup>y</lookup>\n```", query("so <lookup>y</lookup>")),
         # Behind thinking, between two blocks, or in one that is never closed, as where the server stopped at the call.
-        (f"<think>I have to look it up.</think>{CALL}", QUERY),
         (f"<think>maybe <lookup>y</lookup></think>{CALL}", QUERY),
         (f"maybe <lookup>y</lookup></think>{CALL}", QUERY),
         (f"<think>is it <lookup> or so</think> {CALL}", QUERY),
         (f"<think>a</think> {CALL} <think>{CALL}</think> 42", QUERY),
         (f"<think>I am not done and {CALL}", QUERY),
-        ("<think>a</think>\n```lookup\nx\n```\n", QUERY),
         ("<think>a</think>```lookup\nx\n```\n", QUERY),
-        (f"```text\nquoted </think>\n```\n{CALL}", QUERY),
-        # Beside an answer or a quotation, or all that an answer holds: nobody answers with a call.
+        # Beside an answer or a quotation, or in backticks as a whole.
         (f"`<lookup>` it is: {CALL}", QUERY),
         (f"`{CALL}`", QUERY),
         (f"<answer>{CALL}</answer>", QUERY),
         (f"I write <answer> later. {CALL} <answer>42</answer>", QUERY),
-        (f"{CALL} <answer>42</answer>", QUERY),
         (f"<answer>42</answer> {CALL}", QUERY),
+        # The server stopped at its end.
+        ("<lookup>x", QUERY),
+        ("```lookup\nx", QUERY),
     ],
 )
 def test_a_call_is_executed(action: str, expected: Any) -> None:
@@ -141,51 +128,32 @@ def test_a_call_is_executed(action: str, expected: Any) -> None:
     assert answer(action) == expected
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "</think>",
-        "<think>",
-        "<think>y</think>",
-        "a</think>b<think>c",
-        "<think></think>" * 3,
-        "<answer>y</answer>",
-        "print('<lookup>')",
-        "`<calculator>`",
-    ],
-)
-def test_tags_of_thinking_answers_and_quotations_inside_a_call_belong_to_it(text: str) -> None:
+@pytest.mark.parametrize("text", ["<think>y</think>", "<answer>y</answer>", "print('<lookup>')", "`<calculator>`"])
+def test_thinking_answers_and_quotations_inside_a_call_belong_to_it(text: str) -> None:
     """As in a program that prints them, in each form of a call."""
     assert answer(f"<lookup>{text}</lookup>") == query(text)
     assert answer(json_call("lookup", query=text)) == query(text)
-    assert answer(f"```lookup\n{text}\n```") == query(text)
-    assert answer(f"<think>hm</think><lookup>{text}</lookup> more") == query(text)
+    assert answer(f"<think>hm</think>\n```lookup\n{text}\n```\nmore") == query(text)
 
 
 @pytest.mark.parametrize(
     "action",
     [
-        # Other tags: nobody can know that they were meant for a tool.
-        *("<b>x</b>", "<look>x</look>", "<lokup>", "<lokup>x</lookupp>", "</lookup>", "<looking>x</looking>"),
+        "<b>x</b> </lookup> <looking>x</looking>",
         "<answer>x</answer>",
         # Thinking, whether it was opened in the response or by the template before it.
         f"<think>shall I write {CALL}?</think> 42",
         f"shall I write {CALL}?</think> 42",
         f"<think>{CALL}</think><think>{CALL}</think> 42",
-        "<think>is it <lookup> or so</think> 42",
         "<think>is it <lookup> or so</think> 42 </lookup>",
         "<think>```lookup\nx\n```\n</think> 42",
         "<think><tool_call>{</think> 42",
-        "<think><lookup/></think> 42",
-        "<think>nothing of the kind</think>",
-        # A lone tag in quotation marks, and whatever stands within the tag of an answer.
-        "I would write it between `<lookup>` and `</lookup>`, but I know it: 42",
+        # What is in backticks, a lone tag in quotation marks, and whatever stands within the tag of an answer.
+        f"I would write `{CALL}`, or ``{CALL}``, between `<lookup>` and `</lookup>`, but I know it: 42",
         'I called the "<lookup>" before; it is 42',
         "With '<tool_call>' one calls; it is 42",
-        "<answer>Use the <lookup> tag</answer>",
         f"<answer>Write {CALL} to ask</answer>",
-        "I put it into <answer> now: <answer>a <calculator> b</answer>",
-        '<answer><lookup query="x"></answer>',
+        "I put it into <answer> now: <answer>a <lookup> b</answer>",
     ],
 )
 def test_what_is_no_call_is_the_tasks(action: str) -> None:
@@ -196,47 +164,36 @@ def test_what_is_no_call_is_the_tasks(action: str) -> None:
 @pytest.mark.parametrize(
     ("action", "told"),
     [
-        *(
-            (f"<tool_call>{content}</tool_call>", told)
-            for content, told in [
-                (
-                    '{"name": "lookup", "arguments": "{\\"query\\": "}',
-                    "its arguments are no valid JSON: Expecting value",
-                ),
-                ('{"name": "calculator", "arguments": "12"}', "its arguments must be an object"),
-                ('{"name": "calculator", "arguments": "twelve"}', "its arguments are no valid JSON: Expecting value"),
-                ('{"name": "lookup", "arguments": null}', "query: Field required"),
-                ('{"name": "lookup", "arguments": {"query": "x",,}}', "is no valid JSON"),
-                ('{"arguments": {}}', "a call must be an object of the form"),
-                ("[]", "a call must be an object of the form"),
-                ('{"name": "lookup", "arguments": {"query": "x"}} and more', "is no valid JSON: Extra data"),
-                ("", "is no valid JSON"),
-            ]
-        ),
-        ("<calculator>1 + 2</calculator>", "its arguments as a JSON object"),
-        ("<calculator>[1]</calculator>", "its arguments as a JSON object"),
-        ("<calculator>1", "<calculator> is never closed by </calculator>"),
-        ("<calculator></calculator>", "left: Field required"),
-        ("<lookup>y <answer>42</answer>", "<lookup> is never closed by </lookup>"),
-        # A tag that is a tool's but for one letter, or that models call tools by, would be a wrong answer.
-        *(
-            (f"<{tag}>x</{tag}>", f"no tool '{tag}'. Did you mean")
-            for tag in ("Lookup", "lokup", "lookupp", "lokoup", "lookop", "Calculators")
-        ),
-        *((f"so: <{tag}>x</{tag}>", f"no tool '{tag}'. There are: lookup, calculator") for tag in WELL_KNOWN),
-        # As would one with more than the name.
-        *(
-            (f"so: {tag}", "its tag takes no attributes")
-            for tag in ("<lookup query='x'>", '<lookup query="x"/>', "<lookup/>", "<lookup />")
-        ),
-        # A response that is all thinking.
-        (f"<think>{CALL}</think>\n", "it stands in a thinking block"),
-        (f"so {CALL}</think>", "it stands in a thinking block"),
+        ('<tool_call>{"name": "lookup", "arguments": "{\\"query\\": "}</tool_call>', "its arguments are no valid JSON"),
+        ('<tool_call>{"name": "calculator", "arguments": "12"}</tool_call>', "its arguments must be an object"),
+        ('<tool_call>{"name": "calculator", "arguments": "twelve"}</tool_call>', "its arguments are no valid JSON"),
+        ('<tool_call>{"name": "lookup", "arguments": null}</tool_call>', "query: Field required"),
+        ('<tool_call>{"name": "lookup", "arguments": {"query": "x",,}}</tool_call>', "is no valid JSON"),
+        ("<tool_call>{", "<tool_call> is never closed by </tool_call>"),
+        ('<tool_call>{"arguments": {}}</tool_call>', "a call must be an object of the form"),
+        ("<tool_call>[]</tool_call>", "a call must be an object of the form"),
+        ("<tool_call>" + "[" * 100_000 + "</tool_call>", "is no valid JSON: it is nested too deeply"),
+        (f'<tool_call>{{"x": {"[" * 200}{"]" * 200}}}</tool_call>', "is no valid JSON: it is nested too deeply"),
+        ('<tool_call>{"name": "lookup", "x": NaN}</tool_call>', "is no valid JSON: NaN is no finite number"),
+        ('<tool_call>{"name": "lookup", "x": 1e999}</tool_call>', "is no valid JSON: 1e999 is no finite number"),
+        (json_call("calculater"), "no tool 'calculater'. Did you mean 'calculator'? There are: lookup, calculator"),
+        (json_call("calculator", left="x", right=1), "left: Input should be a valid number"),
+        ("<lookup>", "<lookup> is never closed by </lookup>"),
+        ("```lookup\n", "the fenced block is never closed"),
+        (gem.Response("<lookup>x", finish_reason="length"), "cut off at the limit of its length"),
     ],
 )
 def test_a_call_that_cannot_be_read_is_told(action: str, told: str) -> None:
     """In words that say what was expected; it is a use, and the task hears nothing."""
     assert told in str(answer(action))
+
+
+def test_the_first_complete_call_counts_and_what_follows_is_left_out() -> None:
+    """Also behind thinking, whose place in the text is kept, and behind a tag that is never closed."""
+    info = around().step(f"<think>{CALL}</think>{CALL} and {CALL}")[4]
+    assert info["parsed_action"] == f"<think>{CALL}</think>{CALL}"
+    assert info["tool"]["uses"] == 1
+    assert answer(f"<lookup> {INNER}") == ("calculator", {"left": 1, "right": 1})
 
 
 def test_without_tools_a_call_is_told_all_the_same() -> None:
@@ -269,13 +226,6 @@ def test_thinking_may_count_as_any_text() -> None:
     assert answer(f"<thought>{CALL} so it is</thought> 42", thinking_tag="thought") is None
 
 
-def test_a_call_counts_once_and_what_follows_is_left_out() -> None:
-    """Also behind thinking, whose place in the text is kept."""
-    info = around().step(f"<think>{CALL}</think>{CALL} and {CALL}")[4]
-    assert info["parsed_action"] == f"<think>{CALL}</think>{CALL}"
-    assert info["tool"]["uses"] == 1
-
-
 def read_shout(opening: re.Match[str], tools: Mapping[str, gem.Tool]) -> gem.ToolCall | None:
     """Read ``NAME! text!``, as no model writes it."""
     found = re.compile(r" ([^!]*)(!?)").match(opening.string, opening.end())
@@ -286,48 +236,42 @@ def read_shout(opening: re.Match[str], tools: Mapping[str, gem.Tool]) -> gem.Too
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"),
+    ("text", "begins", "expected"),
     [
-        ("LOOKUP! x!", "x"),
-        ("HELP! me! and LOOKUP! x!", "x"),
-        ("<lookup>y</lookup> LOOKUP! x!", "y"),
-        ("LOOKUP! x! <lookup>y</lookup>", "x"),
-        ("LOOKUP! x <lookup>y</lookup>", "y"),
-        ("<think>LOOKUP! x!</think> 42", None),
-        ("<answer>LOOKUP! x!</answer>", "x"),
-        ("<answer>I say LOOKUP! x!</answer>", None),
-        ("`LOOKUP! x!` I would say; it is 42", None),
+        ("LOOKUP! x!", "calls", "x"),
+        ("HELP! me! and LOOKUP! x!", "calls", "x"),
+        ("<lookup>y</lookup> LOOKUP! x!", "calls", "y"),
+        ("LOOKUP! x! <lookup>y</lookup>", "calls", "x"),
+        ("LOOKUP! x <lookup>y</lookup>", "calls", "y"),
+        ("<think>LOOKUP! x!</think> 42", "calls", None),
+        ("<answer>I say LOOKUP! x!</answer>", "calls", None),
+        ("`LOOKUP! x!` I would say; it is 42", "calls", None),
+        # What has the shape of an answer, as bare JSON has it, is none beside an answer.
+        ("LOOKUP! x!", "anything", "x"),
+        ("LOOKUP! x! \\boxed{42}", "anything", None),
+        ("<answer>42</answer> LOOKUP! x!", "anything", None),
     ],
 )
 def test_a_form_of_a_plugin_is_read_beside_the_others(
-    text: str, expected: str | None, monkeypatch: pytest.MonkeyPatch
+    text: str, begins: Any, expected: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of all calls the first that is complete counts, and what is thought, answered or quoted is none in any form."""
-    shout = CallFormatSpec(name="shout", opening="([A-Z]+)!", entry_point=read_shout)
+    shout = CallFormatSpec(name="shout", opening="([A-Z]+)!", begins=begins, entry_point=read_shout)
     monkeypatch.setattr(Registry, "specs", lambda self, kind: [shout])
-    assert answer(text) == (None if expected is None else ("lookup", {"query": expected}))
+    assert answer(text) == (None if expected is None else query(expected))
 
 
-def test_a_form_with_the_shape_of_an_answer_is_none_beside_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As bare JSON has it."""
-    shout = CallFormatSpec(name="shout", opening="([A-Z]+)!", begins="anything", entry_point=read_shout)
-    monkeypatch.setattr(Registry, "specs", lambda self, kind: [shout])
-    assert answer("LOOKUP! x!") == QUERY
-    assert answer("LOOKUP! x! \\boxed{42}") is None
-
-
-def test_a_form_of_calls_needs_an_opening_that_can_be_searched_for() -> None:
+@pytest.mark.parametrize("wrong", [{"opening": "("}, {"opening": 3}, {"opening": "x", "begins": "never"}])
+def test_a_form_of_calls_needs_an_opening_that_can_be_searched_for(wrong: Any) -> None:
     """It is refused when it is offered, not when a model writes."""
-    for wrong in ({"opening": "("}, {"opening": 3}, {"opening": "x", "begins": "never"}):
-        with pytest.raises(gem.errors.RegistrationError):
-            CallFormatSpec(name="mine", entry_point=read_shout, **wrong)  # type: ignore[arg-type]
+    with pytest.raises(gem.errors.RegistrationError):
+        CallFormatSpec(name="mine", entry_point=read_shout, **wrong)
 
 
 PIECES = [
     *(CALL, "<lookup>", "</lookup>", "<think>", "</think>", "<tool_call>", "</tool_call>", '{"name": "lookup", '),
     *('"arguments": {', '"query": "x"', "}", "{", '"', "\\", ",", "```lookup\n", "```text\n", "\n```\n", "~~~"),
-    *("<lokup>", "</lokup>", "<calculator>", "</calculator>", "<answer>", "`<lookup>`", "<lookup query='x'>"),
-    *("\n", " ", "é", "\ud800"),
+    *("<calculator>", "</calculator>", "<answer>", "`<lookup>`", "<lookup query='x'>", "\n", " ", "é", "\ud800"),
 ]
 TEXTS = st.lists(st.sampled_from(PIECES) | st.text(max_size=3), max_size=25).map("".join)
 
@@ -346,16 +290,15 @@ def test_every_text_is_answered_by_the_tool_or_by_the_task(action: str) -> None:
 
 
 QUIET = st.lists(
-    st.sampled_from([piece for piece in PIECES if "think" not in piece and "text" not in piece]) | st.text(max_size=3),
+    st.sampled_from([piece for piece in PIECES if not re.search("think|text|[`~]", piece)])
+    | st.text("ab <>{", max_size=3),
     max_size=12,
 ).map("".join)
 
 
 @given(QUIET, st.sampled_from([CALL, json_call("lookup", query="x"), "\n```lookup\nx\n```\n"]), QUIET)
 def test_no_text_around_a_call_takes_it_to_the_task(before: str, call: str, after: str) -> None:
-    """Thinking and answers apart, whatever stands around a whole call, the task hears nothing."""
-    if "`" in before or "~~~" in before:
-        return  # within another block a fence opens nothing, and a call in backticks is quoted
+    """Thinking, answers and quotations apart, whatever stands around a whole call, the task hears nothing."""
     env = around()
     assert "tool" in env.step(before + call + after)[4]
     assert env.unwrapped.heard == []
@@ -363,7 +306,7 @@ def test_no_text_around_a_call_takes_it_to_the_task(before: str, call: str, afte
 
 HOSTILE = [
     *("<lookup>", "<think>", "</think>", "<tool_call>", "<tool_call>{", "<think><lookup></think>", '<tool_call>"\\'),
-    *("<think><tool_call></think>", '"\\', "<lokup>", "<calculator>", "```lookup\n", "```text\n", ",", "["),
+    *("<think><tool_call></think>", '"\\', "<calculator>", "```lookup\n", "```text\n", ",", "[", "`", "``", "'<a"),
     *("<lookup></think>", "`<lookup>", "<lookup query=", "</answer>", "<answer>", '{"name": "lookup", '),
 ]
 
@@ -375,9 +318,3 @@ def test_megabytes_of_any_piece_are_read(piece: str) -> None:
     text = piece * (1_500_000 // len(piece))
     for action in (text, f"<tool_call>{text}</tool_call>", f"{text}</lookup>", f"{text}</think>"):
         around().find_call(action)
-
-
-def test_megabytes_of_different_tags_are_read() -> None:
-    """Only so many are held against the names of tools."""
-    tags = (f"<lookup{''.join(end)}>" for end in itertools.islice(itertools.product("abcdefghij", repeat=5), 60_000))
-    assert answer("".join(tags) + "42") is None

@@ -12,7 +12,7 @@ from toys import EchoEnv, Notebook
 
 import gem_core as gem
 from gem_core.errors import ArgumentError
-from gem_core.testing import CheckError, check_tool
+from gem_core.testing import check_tool
 from gem_core.tools.env import ToolEnv
 
 
@@ -70,12 +70,8 @@ def test_a_tool_may_validate_by_itself(toolbox: Path) -> None:
         ({"properties": {"a": {"type": "string"}, "b": {"type": "string"}}, "required": ["b"]}, "b"),
         ({"properties": {"a": {"type": "string"}, "b": {"type": "string"}}}, None),
         ({"properties": {"a": {"type": "string", "enum": ["x"]}}}, None),
-        ({"properties": {"a": {"type": "string", "format": "date"}}}, None),
-        ({"properties": {"a": {"type": "integer"}}}, None),
         ({"properties": {"a": True}, "required": ["a"]}, None),
-        ({"properties": {}, "required": ["a"]}, None),
         ({"properties": []}, None),
-        ({"properties": {"a": {"type": "string"}}, "required": 3}, None),
         ({"properties": {"a": {"type": "string"}}, "required": [["a"]]}, None),
     ],
 )
@@ -92,14 +88,6 @@ def test_the_text_parameter_is_read_off_the_schema(schema: dict[str, Any], param
     assert "Call it with" in Bare().instructions()
 
 
-def test_schemas_are_the_callers_own() -> None:
-    """A trainer that changes what it was given changes nobody else's."""
-    env = ToolEnv(EchoEnv(), [Notebook()])
-    env.reset()[1]["tools"][0]["function"]["parameters"]["properties"].clear()
-    assert env.reset()[1]["tools"] == [Notebook().schema()]
-    assert Notebook().schema()["function"]["parameters"]["properties"].keys() == {"line"}
-
-
 @pytest.mark.thorough
 def test_each_of_several_tools_is_checked(toolbox: Path) -> None:
     """By its name, or all."""
@@ -109,17 +97,3 @@ def test_each_of_several_tools_is_checked(toolbox: Path) -> None:
         check_tool("box", {"lock": "north"})
     with pytest.raises(ArgumentError, match="name one of these tools: look, count; not 'lok'"):
         check_tool("box", name="lok")
-
-
-def test_a_schema_that_is_no_object_breaks_a_promise() -> None:
-    """A server would refuse it."""
-
-    class Bare(gem.Tool):
-        name = "bare"
-        description = "Has no object of arguments."
-
-        def parameters_schema(self) -> dict[str, Any]:
-            return {"type": "string"}
-
-    with pytest.raises(CheckError, match="Its parameters are the JSON Schema of an object"):
-        check_tool(Bare())

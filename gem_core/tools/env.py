@@ -31,8 +31,7 @@ class ToolEnv(Wrapper):
     offer (see ``CallFormatSpec``): gem-tools has those of model families. The first complete call of a response is
     executed; what follows it is left out of ``info["parsed_action"]``. Native calls (``Response.tool_calls``) win over
     text: all are executed, in order, and answered under their ids in ``info["messages"]``. A call that fails or cannot
-    be read is told to the agent, and never reaches the task as an answer; so is a tag that is a tool's but for one
-    letter.
+    be read is told to the agent, and never reaches the task as an answer.
 
     What stands in a thinking block is no call, as long as the block is closed; neither is what stands in a fenced block
     (``answer_fences``) or a tag (``answer_tags``) that is the task's answer, unless that begins with a call. A tool
@@ -58,8 +57,8 @@ class ToolEnv(Wrapper):
             task. None for no limit.
         instructions: Whether the first observation ends by explaining the tools; or the text to do so.
         thinking_tag: Name of the tag around thinking; with None, calls in it count as any other.
-        call_timeout_s: Seconds that a call may take; what takes longer is given up, together with its session, and
-            told to the agent. A coroutine is cancelled; a thread, which cannot be, is abandoned. None for no limit.
+        call_timeout_s: Seconds that a call may take; what takes longer is given up, its session closed, and told to the
+            agent. A coroutine is cancelled; a thread, which cannot be, is abandoned. None for no limit.
     """
 
     def __init__(
@@ -76,7 +75,15 @@ class ToolEnv(Wrapper):
         call_timeout_s: float | None = None,
     ) -> None:
         super().__init__(env)
-        _check(env, max_tool_uses, call_timeout_s)
+        if (there := find_tool_env(env)) is not None:
+            raise ArgumentError(
+                f"there are tools around this environment already: {', '.join(there.tools)}; give all tools to one "
+                "ToolEnv, or to make(), which gathers them"
+            )
+        if max_tool_uses is not None and (type(max_tool_uses) is not int or max_tool_uses < 0):
+            raise ArgumentError(f"max_tool_uses must be a whole number from 0 up or None, not {max_tool_uses!r}")
+        if call_timeout_s is not None and (not isinstance(call_timeout_s, int | float) or not call_timeout_s > 0):
+            raise ArgumentError(f"call_timeout_s must be a number of seconds above 0 or None, not {call_timeout_s!r}")
         if tool_reward or tool_success_reward or tool_error_reward:
             self.return_range = None
         self.tool_reward = tool_reward
@@ -128,10 +135,10 @@ class ToolEnv(Wrapper):
         info["tools"] = [tool.schema() for tool in self.tools.values()]
         if info.get("view") is not None:
             info["view"] = None  # a view inside the tools does not show their results
-        text = self.instructions if isinstance(self.instructions, str) else self._instructions()
-        if self.instructions and text:
+        text, native = self._instructions()
+        if text:
             if self.instructions is True:
-                info["tool_instructions"] = {"text": text, "native": self._native_instructions()}
+                info["tool_instructions"] = {"text": text, "native": native}
             feedback = join_observations([feedback, text if text.endswith("\n") else f"{text}\n"])
             observation = observation_from(feedback, suffix)
             if self._suffix is not None:
@@ -143,11 +150,10 @@ class ToolEnv(Wrapper):
         if self._uses_left() == 0:
             return action
         calls = native_calls(action.tool_calls or [], self.tools) if isinstance(action, Response) else []
-        if not calls:
-            call = self.find_call(action)
-            if call is None:
-                return action
+        if not calls and (call := self.find_call(action)) is not None:
             calls = [call]
+        if not calls:
+            return action
         if not self._live:
             raise reset_needed(self)
         return self._sessions.finished(self._answer(action, calls))
@@ -204,22 +210,28 @@ class ToolEnv(Wrapper):
         outputs = [join_observations([_title(call, result), result.content]) for call, result in outcomes]
         feedback = join_observations([*outputs, f"{self._what_is_left()}\n"])
         suffix: Observation = "" if self._suffix is None else self._suffix
-        last = outcomes[-1][0]
-        calls = [_call_info(call, result) for call, result in outcomes]
+        calls = [
+            {
+                **result.info,
+                "name": call.name or None,
+                "arguments": dict(call.arguments),
+                "failed": result.failed,
+                "error": call.error,
+            }
+            for call, result in outcomes
+        ]
+        counters = {"uses": self._uses, "successes": self._successes, "failures": self._failures}
         info: dict[str, Any] = {
             "feedback": feedback,
             "suffix": suffix,
-            "parsed_action": _parsed_action(str(action), last),
-            "tool": {
-                **calls[-1],
-                "calls": calls,
-                "uses": self._uses,
-                "successes": self._successes,
-                "failures": self._failures,
-            },
+            "parsed_action": str(action),
+            "tool": {**calls[-1], "calls": calls, **counters},
         }
+        last = outcomes[-1][0]
         if last.id is not None:
             info["messages"] = self._messages(outcomes)
+        else:  # what follows a call in text was not read
+            info["parsed_action"] = action[: last.end] if last.end else None
         fault = next((result.fault for _, result in outcomes if result.fault is not None), None)
         if fault is not None:
             self._live = False
@@ -246,33 +258,29 @@ class ToolEnv(Wrapper):
             return "No tool calls are left. Give your answer to the task now."
         return f"Tool calls left: {left}. Call a tool again, or give your answer."
 
-    def _instructions(self) -> str:
-        if self.max_tool_uses == 0 or not self.tools:
-            return ""
+    def _instructions(self) -> tuple[str, str]:
+        """Return the words that explain the tools, and those for an agent that is offered their schemas."""
+        if isinstance(self.instructions, str):
+            return self.instructions, ""
+        most = self.max_tool_uses
+        if not self.instructions or most == 0 or not self.tools:
+            return "", ""
+        limit = "" if most is None else f" You have {most} tool call{'' if most == 1 else 's'}."
+        explained = []
+        for tool in self.tools.values():
+            if self._reader.leaves_fences_of(tool):
+                tool = copy.copy(tool)  # so that no form is explained that would be taken for the answer
+                tool.fences = ()
+            in_json = tool.name in self._reader.reserved
+            explained.append(tool.explained_in_json() if in_json else tool.instructions())
         lines = [
             "You may use tools before you answer. Make one call in a response: the result comes back to you, and "
-            f"nothing that you write behind the call is read.{self._limit()}",
-            *(self._explain(tool) for tool in self.tools.values()),
+            f"nothing that you write behind the call is read.{limit}",
+            *explained,
             f'Any tool can also be called as {CALL_OPEN}{{"name": …, "arguments": {{…}}}}{CALL_CLOSE}.',
         ]
-        return "\n".join(lines)
-
-    def _native_instructions(self) -> str:
         hints = [hint for tool in self.tools.values() if (hint := tool.hints())]
-        return "\n".join([f"You may use tools before you answer.{self._limit()}", *hints])
-
-    def _limit(self) -> str:
-        most = self.max_tool_uses
-        return "" if most is None else f" You have {most} tool call{'' if most == 1 else 's'}."
-
-    def _explain(self, tool: Tool) -> str:
-        if tool.name in self._reader.reserved:
-            return tool.explained_in_json()
-        if self._reader.leaves_fences_of(tool):
-            # Do not explain a form that would be taken for the answer.
-            tool = copy.copy(tool)
-            tool.fences = ()  # of this copy alone
-        return tool.instructions()
+        return "\n".join(lines), "\n".join([f"You may use tools before you answer.{limit}", *hints])
 
     def _own_record(self) -> tuple[str, dict[str, Any]]:
         return "tools", super()._own_record()[1]
@@ -280,22 +288,6 @@ class ToolEnv(Wrapper):
 
 def _title(call: ToolCall, result: ToolResult) -> str:
     return f"{'Error from' if result.failed else 'Output of'} {call.name or 'the tool call'}:"
-
-
-def _call_info(call: ToolCall, result: ToolResult) -> dict[str, Any]:
-    return {
-        **result.info,
-        "name": call.name or None,
-        "arguments": dict(call.arguments),
-        "failed": result.failed,
-        "error": call.error,
-    }
-
-
-def _parsed_action(action: str, call: ToolCall) -> str | None:
-    if call.id is not None:
-        return action
-    return action[: call.end] if call.end else None
 
 
 def find_tool_env(env: AnyEnv) -> ToolEnv | None:
@@ -308,25 +300,9 @@ def find_tool_env(env: AnyEnv) -> ToolEnv | None:
     return None
 
 
-def _check(env: AnyEnv, max_tool_uses: object, call_timeout_s: object) -> None:
-    there = find_tool_env(env)
-    if there is not None:
-        raise ArgumentError(
-            f"there are tools around this environment already: {', '.join(there.tools)}; give all tools to one "
-            "ToolEnv, or to make(), which gathers them"
-        )
-    if max_tool_uses is not None and (type(max_tool_uses) is not int or max_tool_uses < 0):
-        raise ArgumentError(f"max_tool_uses must be a whole number from 0 up or None, not {max_tool_uses!r}")
-    if call_timeout_s is not None and (not isinstance(call_timeout_s, int | float) or not call_timeout_s > 0):
-        raise ArgumentError(f"call_timeout_s must be a number of seconds above 0 or None, not {call_timeout_s!r}")
-
-
 def _validation_message(error: Exception) -> str:
-    if isinstance(error, RecursionError):
-        return "The arguments are nested too deeply."
-    if isinstance(error, ArgumentError):
-        return f"The arguments are not valid. {error}"[:2000]
-    if not isinstance(error, pydantic.ValidationError):
-        return f"The arguments are not valid. {type(error).__name__}: {error}"[:2000]
-    lines = [f"{'.'.join(map(str, item['loc'])) or 'arguments'}: {item['msg']}"[:300] for item in error.errors()[:10]]
-    return "The arguments are not valid. " + "; ".join(lines)
+    if isinstance(error, pydantic.ValidationError):
+        problems = [f"{'.'.join(map(str, item['loc'])) or 'arguments'}: {item['msg']}" for item in error.errors()[:10]]
+        return f"The arguments are not valid. {'; '.join(problems)}"[:2000]
+    kind = "" if isinstance(error, ArgumentError) else f"{type(error).__name__}: "
+    return f"The arguments are not valid. {kind}{error}"[:2000]

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import copy
 import inspect
 import logging
 import weakref
-from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
@@ -23,22 +20,7 @@ T = TypeVar("T")
 
 logger = logging.getLogger("gem_core")
 
-MOST_LEFT_BEHIND = 64
-"""Number of calls of one tool in this process that timed out and still run, at which no more are begun."""
-
 _WAITED = "a plain tool waited for something; make its call() a coroutine function"
-
-_abandoned_calls: Counter[tuple[type[Tool], str]] = Counter()
-"""Number of such calls, by the tool's class and name. Global, since each holds a thread of the process for good."""
-
-
-@dataclass
-class _Attempt:
-    """State of one call: its session, which belongs to the episode unless the call was abandoned."""
-
-    session: Any = None
-    opened: bool = False
-    left_behind: bool = False
 
 
 class ToolSessions:
@@ -51,15 +33,15 @@ class ToolSessions:
 
     def __init__(self, tools: Mapping[str, Tool], timeout_s: float | None) -> None:
         self._tools = tools
-        self.holders = {tool.session_key: tool for tool in reversed(list(tools.values()))}
-        """The tools that close sessions, by the sessions' keys: of tools that share one, the first."""
         self.timeout_s = timeout_s
         self.concurrency: Concurrency = concurrency_of_tools(tools.values(), limited=timeout_s is not None)
-        self.on_loop = self.concurrency == "async" or timeout_s is not None
-        """Whether calls have to be awaited on the library's loop."""
         self.open: dict[str, Any] = {}
         """The open sessions, by their keys."""
-        self.close = partial(_close_now, self.holders, self.open, self.on_loop, timeout_s)
+        self._closers = {tool.session_key: tool for tool in reversed(list(tools.values()))}
+        """The tools that close sessions, by the sessions' keys: of tools that share one, the first."""
+        self.on_loop = self.concurrency == "async" or timeout_s is not None
+        """Whether calls have to be awaited on the library's loop."""
+        self.close = partial(_close_now, self._closers, self.open, self.on_loop, timeout_s)
         """Closes the open sessions, from plain code."""
         weakref.finalize(self, self.close)  # also when the interpreter exits
 
@@ -69,67 +51,39 @@ class ToolSessions:
         return copied
 
     async def call(self, tool: Tool, arguments: Any) -> ToolResult:
-        """Call a tool; an error becomes a failed result."""
+        """Call a tool; an error becomes a failed result, and so does a call that takes too long."""
+        calling = self._called(tool, arguments)
         if self.timeout_s is None:
-            return await self._attempt(tool, arguments, _Attempt())
-        if (hanging := _abandoned_calls[type(tool), tool.name]) >= MOST_LEFT_BEHIND:
-            return ToolResult(
-                f"The tool failed: {hanging} earlier calls ran out of time and have not ended, so no more are begun.",
-                failed=True,
-            )
-        attempt = _Attempt()
-        running = asyncio.ensure_future(self._attempt(tool, arguments, attempt))
+            return await calling
         try:
-            done, _ = await asyncio.wait({running}, timeout=self.timeout_s)
-        except asyncio.CancelledError:
-            running.cancel()
-            raise
-        if done:
-            return running.result()
-        self._abandon(tool, attempt, running)
-        lost = " What it remembered of this episode is lost." if attempt.opened and attempt.session is not None else ""
-        return ToolResult(
-            f"The tool did not answer within {self.timeout_s:g} s, and the call was given up.{lost}",
-            failed=True,
-            info={"timed_out": True},
-        )
+            return await within(self.timeout_s, calling)
+        except TimeoutError:
+            lost = tool.session_key in self.open
+            session = self.open.pop(tool.session_key, None)
+            if lost:
+                run_or_schedule(_close_all({"": tool}, {"": session}, self.timeout_s))
+            forgotten = " What it remembered of this episode is lost." if session is not None else ""
+            told = f"The tool did not answer within {self.timeout_s:g} s, and the call was given up.{forgotten}"
+            return ToolResult(told, failed=True, info={"timed_out": True})
 
-    async def _attempt(self, tool: Tool, arguments: Any, attempt: _Attempt) -> ToolResult:
+    async def _called(self, tool: Tool, arguments: Any) -> ToolResult:
+        key, limited = tool.session_key, self.timeout_s is not None
         try:
-            if tool.session_key in self.open:
-                attempt.session, attempt.opened = self.open[tool.session_key], True
-            else:
-                attempt.session, attempt.opened = await self._run(tool, tool.open), True
-                if not attempt.left_behind:
-                    self.open[tool.session_key] = attempt.session
-            return _as_result(tool, await self._run(tool, tool.call, arguments, attempt.session))
+            if key not in self.open:
+                self.open[key] = await _run(tool, limited, tool.open)
+            outcome = await _run(tool, limited, tool.call, arguments, self.open[key])
+            result = outcome if isinstance(outcome, ToolResult) else ToolResult(outcome)
+            content = result.content
+            if isinstance(content, str) or (isinstance(content, list) and all(map(is_part, content))):
+                return result
+            raise TypeError(f"{tool.name} returned {type(content).__name__}, not text, content parts or a ToolResult")
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a failing tool is an observation for the agent
             message = f"{type(error).__name__}: {error}".strip()[:2000]
             return ToolResult(f"The tool failed: {message}", failed=True)
 
-    def _abandon(self, tool: Tool, attempt: _Attempt, running: asyncio.Task[ToolResult]) -> None:
-        """Abandon a call. Its session leaves the episode, and is closed when the call ends, if it ever does."""
-        attempt.left_behind = True
-        self.open.pop(tool.session_key, None)
-        _abandoned_calls[type(tool), tool.name] += 1
-
-        def tidy(_: asyncio.Task[ToolResult]) -> None:
-            _abandoned_calls[type(tool), tool.name] -= 1
-            if attempt.opened:
-                run_or_schedule(_close_all({tool.name: tool}, {tool.name: attempt.session}, self.timeout_s))
-
-        running.add_done_callback(tidy)
-        if inspect.iscoroutinefunction(tool.call):
-            running.cancel()  # what runs in a thread cannot be stopped: its task goes on until the thread ends
-
-    async def _run(self, tool: Tool, method: Callable[..., Any], *args: Any) -> Any:
-        return await _run(tool, self.timeout_s is not None, method, *args)
-
     def take(self) -> Coroutine[Any, Any, None] | None:
         """Return a coroutine that closes the open sessions, which are no longer this episode's; None without any."""
-        taken = dict(self.open)
-        self.open.clear()
-        return _close_all(self.holders, taken, self.timeout_s) if taken else None
+        return _taken(self._closers, self.open, self.timeout_s)
 
     def finished(self, coroutine: Coroutine[Any, Any, T]) -> T | Coroutine[Any, Any, T]:
         """Return the result of a coroutine of this class, or the coroutine if it has to be awaited."""
@@ -145,14 +99,6 @@ def concurrency_of_tools(tools: Iterable[Tool], *, limited: bool = False) -> Con
     return most_demanding("inline", *needs)
 
 
-def _as_result(tool: Tool, outcome: Any) -> ToolResult:
-    result = outcome if isinstance(outcome, ToolResult) else ToolResult(outcome)
-    content = result.content
-    if isinstance(content, str) or (isinstance(content, list) and all(map(is_part, content))):
-        return result
-    raise TypeError(f"{tool.name} returned {type(content).__name__}, not text, content parts or a ToolResult of them")
-
-
 async def _run(tool: Tool, limited: bool, method: Callable[..., Any], *args: Any) -> Any:
     """Run a method of a tool; one that blocks, or that could not be given up otherwise, in a thread."""
     blocks = limited or tool.concurrency != "inline"
@@ -164,18 +110,25 @@ async def _run(tool: Tool, limited: bool, method: Callable[..., Any], *args: Any
 
 
 async def _close_all(tools: Mapping[str, Tool], sessions: Mapping[str, Any], timeout_s: float | None) -> None:
-    for name, session in sessions.items():
-        closing = _run(tools[name], timeout_s is not None, tools[name].close, session)
+    for key, session in sessions.items():
+        closing = _run(tools[key], timeout_s is not None, tools[key].close, session)
         try:
             await (closing if timeout_s is None else within(timeout_s, closing))
         except (Exception, SystemExit):
-            logger.warning("gem: closing the session of tool %r failed", name, exc_info=True)
+            logger.warning("gem: closing the session of tool %r failed", tools[key].name, exc_info=True)
+
+
+def _taken(
+    tools: Mapping[str, Tool], sessions: dict[str, Any], timeout_s: float | None
+) -> Coroutine[Any, Any, None] | None:
+    taken = dict(sessions)
+    sessions.clear()
+    return _close_all(tools, taken, timeout_s) if taken else None
 
 
 def _close_now(tools: Mapping[str, Tool], sessions: dict[str, Any], on_loop: bool, timeout_s: float | None) -> None:
-    taken = dict(sessions)
-    sessions.clear()
-    if taken and on_loop:
-        run_or_schedule(_close_all(tools, taken, timeout_s))
-    elif taken:
-        run_without_loop(_close_all(tools, taken, timeout_s), _WAITED)
+    closing = _taken(tools, sessions, timeout_s)
+    if closing is not None and on_loop:
+        run_or_schedule(closing)
+    elif closing is not None:
+        run_without_loop(closing, _WAITED)

@@ -6,7 +6,7 @@ import copy
 import functools
 import json
 import re
-from collections.abc import Awaitable, Mapping, Sequence
+from collections.abc import Awaitable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -131,8 +131,8 @@ class Tool:
 
         The caller may change what is returned.
         """
-        schema: dict[str, Any] = json.loads(_schema_of(self.Parameters))
-        return schema
+        schema = self.Parameters.model_json_schema()
+        return {name: value for name, value in schema.items() if name not in ("title", "description")}
 
     def validate(self, arguments: Mapping[str, Any]) -> Any:
         """Return the arguments as ``call`` takes them; by default an instance of ``Parameters``.
@@ -170,8 +170,29 @@ class Tool:
         parameter = self.text_parameter
         if parameter is None:
             return None
-        tagged = self._tagged(action, parameter)
-        return first_call([tagged, self._fenced(action, parameter)]) if fences and self.fences else tagged
+        found = []
+        name = rf"\s{{0,9}}+{re.escape(self.name)}\s{{0,9}}+>"
+        opening = re.search(f"<{name}", action) if self.name in action else None
+        if opening is not None:
+            closing = re.compile(rf"<\s{{0,9}}+/{name}").search(action, opening.end())
+            content = action[opening.end() : closing.start() if closing else None]
+            unclosed = f"<{self.name}> is never closed by </{self.name}>"
+            found.append((opening.start(), closing.end() if closing else -1, content, unclosed))
+        if fences and self.fences:
+            complete = extract_code_blocks(action, *self.fences)
+            block = complete[0] if complete else unclosed_code_block(action, *self.fences)
+            if block is not None:
+                found.append((block.start, block.end, block.code, "the fenced block is never closed"))
+        calls = []
+        for start, end, content, unclosed in found:
+            arguments = {parameter: self.unfenced(content)}
+            if end >= 0:
+                calls.append(ToolCall(self.name, arguments, start, end))
+            elif content.strip():
+                calls.append(ToolCall(self.name, arguments, start, len(action), unclosed, cut=True))
+            else:
+                calls.append(ToolCall(self.name, start=start, error=unclosed))
+        return first_call(calls)
 
     def schema(self) -> dict[str, Any]:
         """Return the tool as the OpenAI chat API describes functions."""
@@ -206,37 +227,6 @@ class Tool:
         told = f"{description}{end} " if description else ""
         return f"- {self.name}: {told}Call it with {how}"
 
-    def _tagged(self, action: str, parameter: str) -> ToolCall | None:
-        if self.name not in action:
-            return None
-        opening_tag, closing_tag = tags_of(self.name)
-        opening = opening_tag.search(action)
-        if opening is None:
-            return None
-        closing = closing_tag.search(action, opening.end())
-        if closing is None:
-            error = f"<{self.name}> is never closed by </{self.name}>"
-            return self._cut(action, parameter, opening.start(), action[opening.end() :], opening_tag, error)
-        content = self.unfenced(action[opening.end() : closing.start()])
-        return ToolCall(self.name, {parameter: content}, opening.start(), closing.end())
-
-    def _fenced(self, action: str, parameter: str) -> ToolCall | None:
-        for block in extract_code_blocks(action, *self.fences):
-            return ToolCall(self.name, {parameter: self._untagged(block.code)}, block.start, block.end)
-        opened = unclosed_code_block(action, *self.fences)
-        if opened is None:
-            return None
-        again = tags_of(self.name)[0]
-        return self._cut(action, parameter, opened.start, opened.code, again, "the fenced block is never closed")
-
-    def _cut(
-        self, action: str, parameter: str, start: int, content: str, again: re.Pattern[str], error: str
-    ) -> ToolCall:
-        """Return a call that is never closed: cut where it holds something, and is not opened again."""
-        if not content.strip() or again.search(content):
-            return ToolCall(self.name, start=start, error=error)
-        return ToolCall(self.name, {parameter: self.unfenced(content)}, start, len(action), error, cut=True)
-
     def unfenced(self, content: str) -> str:
         """Return what stands in a tag, without the fence of a block that fills it: models write both at once."""
         if not self.fences:
@@ -247,37 +237,12 @@ class Tool:
             return blocks[0].code
         return content.strip("\r\n")
 
-    def _untagged(self, code: str) -> str:
-        """Return what stands in a fenced block, without a tag that fills it."""
-        opening, closing = f"<{self.name}>", f"</{self.name}>"
-        around = code.strip()
-        if not around.startswith(opening) or around.find(closing) != len(around) - len(closing):
-            return code
-        return around[len(opening) : -len(closing)].strip("\r\n")
 
-
-def first_call(calls: Sequence[ToolCall | None]) -> ToolCall | None:
+def first_call(calls: Iterable[ToolCall | None]) -> ToolCall | None:
     """Return the complete call that begins first; without a complete one, the incomplete one that does."""
     found = [call for call in calls if call is not None]
     complete = [call for call in found if call.error is None]
     return min(complete or found, key=lambda call: call.start, default=None)
-
-
-@functools.lru_cache(maxsize=1024)
-def tags_of(name: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
-    """Return the opening and the closing tag of a tool, in which models may write blanks."""
-    blanks = r"\s{0,9}+"
-    escaped = re.escape(name)
-    return re.compile(f"<{blanks}{escaped}{blanks}>"), re.compile(f"<{blanks}/{blanks}{escaped}{blanks}>")
-
-
-@functools.lru_cache(maxsize=1024)
-def _schema_of(parameters: type[pydantic.BaseModel]) -> str:
-    # Kept as text: pydantic takes a tenth of a millisecond, and everyone gets a copy.
-    schema = parameters.model_json_schema()
-    schema.pop("title", None)
-    schema.pop("description", None)
-    return json.dumps(schema)
 
 
 def _is_free_text(described: object) -> bool:

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import settings
+from memory_backend import plain_task
 from scripted import Script
 
-from gem_terminal import episode
+from gem_terminal import TerminalEnv, episode, terminal_env
 
-# How long an example takes is a matter of the machine, and of what else runs on it.
-settings.register_profile("gem", deadline=None)
-settings.load_profile("gem")
+if TYPE_CHECKING:
+    from gem_terminal.tasks.task import Task
 
 REAL = (
-    "test_docker_held_up",
-    "test_docker_leftovers",
     "test_docker_machines",
     "test_docker_services",
-    "test_local_endings",
+    "test_docker_leftovers",
     "test_shell_keys",
     "test_shell_limits",
     "test_terminal_command",
@@ -44,6 +42,23 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Script:
     monkeypatch.setattr(episode, "Shell", script.shell)
     monkeypatch.setattr(episode, "verify", script.verify)
     return script
+
+
+@pytest.fixture
+def make(monkeypatch: pytest.MonkeyPatch, script: Script) -> Iterator[Callable[..., TerminalEnv]]:
+    """Make environments on the memory backend; closing them leaves no machine."""
+    made: list[TerminalEnv] = []
+
+    def make(*tasks: Task, pool_size: int = 0, **options: Any) -> TerminalEnv:
+        chosen = tasks or [plain_task(name) for name in ("one", "two", "three")]
+        monkeypatch.setattr(terminal_env, "select_tasks", lambda *_: chosen)
+        made.append(TerminalEnv("anywhere", backend=script.backend, pool_size=pool_size, **options))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
+    assert script.backend.live == {}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import secrets
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import docker
 import pytest
@@ -18,12 +20,12 @@ from gem_terminal.backends.docker.sweeping import RUN
 from gem_terminal.backends.interface import Limits
 from gem_terminal.errors import EngineError
 from gem_terminal.tasks.reading import scan
-from gem_terminal.tasks.task import Container, Environment, Healthcheck, Network, Step, Task, Verifier
+from gem_terminal.tasks.task import Container, Environment, Step, Task, Verifier
 
 if TYPE_CHECKING:
     from gem_terminal.backends.docker.machine import DockerMachine
 
-BASE = os.environ.get("GEM_TERMINAL_BASE_IMAGE", "gem-python:base")
+BASE = os.environ.setdefault("GEM_TERMINAL_BASE_IMAGE", "gem-python:base")
 DOCKERFILE = (
     "ARG BASE=python:3.12-slim-bookworm\nFROM ${BASE}\nRUN mkdir /app && echo hello > /app/greeting\nWORKDIR /app\n"
 )
@@ -45,35 +47,18 @@ def why_not() -> str:
     return ""
 
 
-os.environ.setdefault("GEM_TERMINAL_BASE_IMAGE", BASE)
 needs_engine = pytest.mark.skipif(bool(why_not()), reason=why_not())
 
 
 def make_task(
-    folder: Path,
-    *,
-    dockerfile: str = DOCKERFILE,
-    main: Container | None = None,
-    services: dict[str, Container] | None = None,
-    network: Network | None = None,
-    build_timeout_s: float = 120.0,
+    folder: Path, *, dockerfile: str = DOCKERFILE, main: Container | None = None, services: Any = (), **more: Any
 ) -> Task:
     """Return a task whose image is built from a folder."""
     folder.mkdir(exist_ok=True)
     (folder / "Dockerfile").write_text(dockerfile)
-    verifier = Verifier(files={}, command=("true",), timeout_s=10, result="output")
-    environment = Environment(main or Container(context=folder), services or {}, network, (), build_timeout_s)
-    return Task("trial", folder, "harbor", environment, (Step("", "Do it.", verifier),), digest=scan(folder))
-
-
-def ready(*command: str, retries: int = 50) -> Healthcheck:
-    """Return a healthcheck that tries often."""
-    return Healthcheck(command, interval_s=0.05, timeout_s=10, retries=retries)
-
-
-def variables(run: str) -> dict[str, str]:
-    """Return the variables of a process whose things bear a label of their own."""
-    return {**os.environ, "GEM_TERMINAL_RUN": run}
+    environment = Environment(main or Container(context=folder), dict(services), **{"build_timeout_s": 120.0, **more})
+    step = Step("", "Do it.", Verifier(files={}, command=("true",), timeout_s=10, result="output"))
+    return Task("trial", folder, "harbor", environment, (step,), digest=scan(folder))
 
 
 def left(run: str) -> list[str]:
@@ -88,28 +73,21 @@ def left(run: str) -> list[str]:
     return found
 
 
-def remove_images(names: Sequence[str]) -> None:
-    """Remove images that a test has built."""
-    client = Engine().client
-    for name in names:
-        try:
-            client.remove_image(name, force=True)
-        except docker.errors.APIError:
-            continue
-    client.close()
+def soon(holds: Callable[[], object]) -> bool:
+    """Whether something comes to hold: what was killed may take a moment to end under load."""
+    deadline = time.monotonic() + 60
+    while not holds() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return bool(holds())
 
 
 @pytest.fixture(scope="module")
 def run_label() -> Iterator[str]:
     """Mark all that a module makes, and find nothing of it in the end."""
-    before = os.environ.get("GEM_TERMINAL_RUN")
     run = f"test-{os.getpid()}-{secrets.token_hex(4)}"
-    os.environ["GEM_TERMINAL_RUN"] = run
-    yield run
-    if before is None:
-        del os.environ["GEM_TERMINAL_RUN"]
-    else:
-        os.environ["GEM_TERMINAL_RUN"] = before
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GEM_TERMINAL_RUN", run)
+        yield run
     assert left(run) == []
 
 
@@ -119,7 +97,9 @@ def backend(run_label: str) -> Iterator[DockerBackend]:
     backend = DockerBackend(build_args={"BASE": BASE})
     yield backend
     backend.close()
-    remove_images(sorted(backend.images.built))
+    for name in sorted(backend.images.built):
+        with contextlib.suppress(docker.errors.APIError), contextlib.closing(Engine().client) as client:
+            client.remove_image(name, force=True)
 
 
 @pytest.fixture(scope="module")
@@ -135,8 +115,8 @@ def machine(backend: DockerBackend, task: Task) -> Iterator[DockerMachine]:
         yield machine
 
 
-def say(machine: DockerMachine, script: str, *, user: str = "", timeout_s: float = 30.0) -> str:
+def say(machine: DockerMachine, script: str) -> str:
     """Run a script, and return what it wrote; it has to succeed."""
-    done = machine.run(["sh", "-c", script], user=user, timeout_s=timeout_s)
+    done = machine.run(["sh", "-c", script], timeout_s=30.0)
     assert done.exit_code == 0, done
     return done.output.decode()

@@ -16,8 +16,7 @@ import termios
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from gem_terminal.backends.interface import Completed, Process
 from gem_terminal.errors import MachineLostError
@@ -29,43 +28,30 @@ class HostTerminal:
     """A program in a pseudo-terminal of this machine."""
 
     def __init__(self, process: subprocess.Popen[bytes], master: int) -> None:
-        self._process = process
-        self._master = master
-        self.pid = process.pid
+        self._process, self._master, self.pid = process, master, process.pid
 
     def read(self, timeout_s: float) -> bytes:
         end = time.monotonic() + timeout_s
-        while True:
-            if self._master < 0:
-                raise MachineLostError("the terminal is closed")
-            wait = max(0.0, min(end - time.monotonic(), 0.1))
-            if select.select([self._master], [], [], wait)[0]:
+        while self._master >= 0:
+            if select.select([self._master], [], [], max(0.0, min(end - time.monotonic(), 0.1)))[0]:
                 with contextlib.suppress(OSError):
-                    data = os.read(self._master, 65_536)
-                    if data:
+                    if data := os.read(self._master, 65_536):
                         return data
-                self._process.wait(5)
-                raise MachineLostError("the program has ended")
-            if self._process.poll() is not None and not select.select([self._master], [], [], 0)[0]:
-                raise MachineLostError("the program has ended")
+                break
+            if self._process.poll() is not None:
+                break
             if time.monotonic() >= end:
                 return b""
+        raise MachineLostError("the program has ended")
 
     def write(self, data: bytes) -> None:
         end = time.monotonic() + 3
-        while data:
+        while data and time.monotonic() < end:
             if self._master < 0 or self._process.poll() is not None:
                 raise MachineLostError("the program has ended")
-            left = end - time.monotonic()
-            if left <= 0:
-                return
-            if select.select([], [self._master], [], min(left, 0.1))[1]:
-                try:
+            if select.select([], [self._master], [], 0.1)[1]:
+                with contextlib.suppress(BlockingIOError):
                     data = data[os.write(self._master, data) :]
-                except BlockingIOError:
-                    continue
-                except OSError as error:
-                    raise MachineLostError("the program has ended") from error
 
     def close(self) -> None:
         if self._master >= 0:
@@ -80,71 +66,32 @@ class HostMachine:
 
     def __init__(self, folder: Path, *, path: str | None = None) -> None:
         self.id = f"host-{secrets.token_hex(6)}"
-        self.folder = folder
         self.has_bash = path is None
-        self._path = path
         self._terminals: list[HostTerminal] = []
-
-    def _environment(self, env: Mapping[str, str] | None) -> dict[str, str]:
-        kept = {"PATH": self._path or "/usr/local/bin:/usr/bin:/bin", "HOME": str(self.folder), _MARKER: self.id}
-        return {**kept, **(env or {})}
+        path = path or "/usr/local/bin:/usr/bin:/bin"
+        self._place: dict[str, Any] = {"cwd": folder, "env": {"PATH": path, "HOME": str(folder), _MARKER: self.id}}
 
     def open_terminal(
-        self,
-        command: Sequence[str],
-        *,
-        user: str = "",
-        workdir: str = "",
-        env: Mapping[str, str] | None = None,
-        columns: int = 120,
-        lines: int = 40,
+        self, command: Sequence[str], *, workdir: str = "", env: Any = None, columns: int, lines: int, **_: Any
     ) -> HostTerminal:
         master, slave = pty.openpty()
         fcntl.ioctl(master, termios.TIOCSWINSZ, struct.pack("HHHH", lines, columns, 0, 0))
         os.set_blocking(master, False)
-        process = subprocess.Popen(
-            list(command),
-            stdin=slave,
-            stdout=slave,
-            stderr=slave,
-            cwd=workdir or self.folder,
-            env=self._environment(env),
-            start_new_session=True,
-            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
-        )
+        place = {"cwd": workdir or self._place["cwd"], "env": self._place["env"] | (env or {})}
+        streams = dict.fromkeys(("stdin", "stdout", "stderr"), slave)
+        take = {"start_new_session": True, "preexec_fn": lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0)}
+        self._terminals.append(HostTerminal(subprocess.Popen(list(command), **streams, **place, **take), master))
         os.close(slave)
-        terminal = HostTerminal(process, master)
-        self._terminals.append(terminal)
-        return terminal
+        return self._terminals[-1]
 
-    def run(
-        self,
-        command: Sequence[str],
-        *,
-        user: str = "",
-        workdir: str = "",
-        env: Mapping[str, str] | None = None,
-        timeout_s: float,
-        most_output: int = 1_000_000,
-    ) -> Completed:
-        done = subprocess.run(
-            list(command),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            cwd=workdir or self.folder,
-            env=self._environment(env),
-            timeout=timeout_s,
-            check=False,
-        )
+    def run(self, command: Sequence[str], *, timeout_s: float, most_output: int = 1_000_000, **_: Any) -> Completed:
+        streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+        done = subprocess.run(list(command), **streams, **self._place, timeout=timeout_s, check=False)
         return Completed(done.returncode, done.stdout[:most_output])
 
-    def put(self, files: Mapping[str, Path | bytes], *, mode: int | None = None) -> None:
+    def put(self, files: Mapping[str, bytes], **_: Any) -> None:
         for path, content in files.items():
-            Path(path).write_bytes(content if isinstance(content, bytes) else content.read_bytes())
-
-    def get(self, path: str, *, most_bytes: int = 10_000_000) -> dict[str, bytes]:
-        return {"": Path(path).read_bytes()}
+            Path(path).write_bytes(content)
 
     def remove_files(self, paths: Sequence[str]) -> None:
         for path in paths:
@@ -152,18 +99,12 @@ class HostMachine:
 
     def processes(self) -> list[Process]:
         found = []
-        marker = f"{_MARKER}={self.id}".encode()
-        for entry in os.listdir("/proc"):
-            if not entry.isdigit():
-                continue
-            try:
-                if marker not in Path(f"/proc/{entry}/environ").read_bytes().split(b"\0"):
-                    continue
-                fields = Path(f"/proc/{entry}/stat").read_text(errors="replace").rpartition(")")[2].split()
-                command = Path(f"/proc/{entry}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
-            except OSError:
-                continue
-            found.append(Process(int(entry), int(fields[1]), int(fields[19]), command[:200].strip(), int(fields[3])))
+        for folder in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                if f"{_MARKER}={self.id}".encode() in (folder / "environ").read_bytes().split(b"\0"):
+                    fields = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()
+                    command = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+                    found.append(Process(int(folder.name), int(fields[1]), int(fields[19]), command, int(fields[3])))
         return found
 
     def kill(self, processes: Sequence[Process]) -> None:
@@ -179,17 +120,12 @@ class HostMachine:
     def why_lost(self) -> MachineLostError | None:
         return None
 
-    def remove(self) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         for terminal in self._terminals:
             terminal.close()
         end = time.monotonic() + 10
         while (left := self.processes()) and time.monotonic() < end:
             self.kill(left)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self.remove()

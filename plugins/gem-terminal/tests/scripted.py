@@ -4,18 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from memory_backend import MemoryBackend, plain_task
+from memory_backend import MemoryBackend
 
-from gem_terminal import TerminalEnv, terminal_env
 from gem_terminal.shell import CommandResult, ScreenResult
 from gem_terminal.verifying.verdict import TestResult, Verdict
-
-if TYPE_CHECKING:
-    import pytest
-
-    from gem_terminal.tasks.task import Task
 
 PASSED = Verdict(True, 1.0, (TestResult("test_one", True), TestResult("test_two", True)))
 HALF = Verdict(False, 0.5, (TestResult("test_one", True, 3.0), TestResult("test_two", False, message="no")))
@@ -33,12 +27,10 @@ class Script:
     Args:
         on_run: Called with each command and its limit.
         verdicts: Of the verifier, one after another; the last one stays.
-        on_verify: Called before each verdict.
     """
 
     on_run: Callable[[str, float], CommandResult] = lambda command, limit: result(f"ran {command}\n")
     verdicts: list[Verdict] = field(default_factory=lambda: [PASSED])
-    on_verify: Callable[[], None] = lambda: None
     backend: MemoryBackend = field(default_factory=MemoryBackend)
     limits: list[float] = field(default_factory=list)
     shells: list[dict[str, Any]] = field(default_factory=list)
@@ -47,8 +39,7 @@ class Script:
 
     def verify(self, machine: Any, task: Any, step: Any, **options: Any) -> Verdict:
         """Stand for the verifier."""
-        self.verified.append({"machine": machine, "step": step, **options})
-        self.on_verify()
+        self.verified.append(options)
         return self.verdicts.pop(0) if len(self.verdicts) > 1 else self.verdicts[0]
 
     def shell(self, machine: Any, **options: Any) -> ScriptedShell:
@@ -80,13 +71,3 @@ class ScriptedShell:
     def close(self) -> None:
         """Count."""
         self.script.closed += 1
-
-
-def make(
-    monkeypatch: pytest.MonkeyPatch, script: Script, tasks: list[Task] | None = None, **options: Any
-) -> TerminalEnv:
-    """Return an environment on the memory backend."""
-    chosen = tasks or [plain_task("one"), plain_task("two"), plain_task("three")]
-    monkeypatch.setattr(terminal_env, "select_tasks", lambda *_: chosen)
-    options.setdefault("pool_size", 0)
-    return TerminalEnv("anywhere", backend=script.backend, **options)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from typing import Any
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,24 +19,10 @@ TERMINUS_JSON = """{
   "commands": [{"keystrokes": "cat <x\\n", "duration": 1.5}, {"keystrokes": "C-c"}],
   "task_complete": false
 }"""
-TERMINUS_XML = """<response>
-<analysis>I see <nothing>.</analysis>
-<commands>
-<keystrokes duration="0.5">cat <x
-</keystrokes>
-<keystrokes duration="1">C-c</keystrokes>
-</commands>
-<task_complete>false</task_complete>
-</response>"""
-
-
-def native(*calls: tuple[str, Any]) -> Response:
-    """Return a response with native calls."""
-    made = [
-        {"id": f"call-{place}", "type": "function", "function": {"name": name, "arguments": json.dumps(arguments)}}
-        for place, (name, arguments) in enumerate(calls)
-    ]
-    return Response("I call.", tool_calls=made)
+TERMINUS_XML = """<response><analysis>I see <nothing>.</analysis>
+<commands><keystrokes duration="0.5">cat <x
+</keystrokes><keystrokes duration="1">C-c</keystrokes></commands>
+<task_complete>false</task_complete></response>"""
 
 
 @pytest.mark.parametrize(
@@ -49,7 +32,6 @@ def native(*calls: tuple[str, Any]) -> Response:
         ("I look.\n<bash>\nls\npwd\n</bash>\nAnd then?", "ls\npwd", None),
         ('<bash timeout="30">make</bash>', "make", 30.0),
         ("<bash timeout=2.5s >make</bash>", "make", 2.5),
-        ("```bash\nls\n```", "ls", None),
         ("text\n```sh\nls\n```\nmore", "ls", None),
         ("~~~shell\necho '```'\n~~~", "echo '```'", None),
         ("<bash>\n```bash\nls\n```\n</bash>", "ls", None),
@@ -59,16 +41,8 @@ def native(*calls: tuple[str, Any]) -> Response:
         ('<tool_call>{"name": "bash", "arguments": {"command": "ls", "timeout": 9}}</tool_call>', "ls", 9.0),
         ('<tool_call>{"name": "bash", "arguments": {"cmd": "echo </bash>"}}</tool_call>', "echo </bash>", None),
         ('{"name": "bash", "arguments": {"command": "ls", "timeout": 9}}', "ls", 9.0),
-        (
-            'I look.\n```json\n{\n  "name": "bash",\n  "parameters": {"command": "ls\n-l"}\n}\n```\nThen?',
-            "ls\n-l",
-            None,
-        ),
-        (
-            '<think>{"name": "finish"}</think>\n {"name": "bash", "arguments": "{\\"command\\": \\"ls\\"}"} <finish/>',
-            "ls",
-            None,
-        ),
+        ('```json\n{"name": "bash",\n "parameters": {"command": "ls\n-l"}}\n```\nThen?', "ls\n-l", None),
+        ('<think>{"name": "finish"}</think>{"name": "bash", "arguments": "{\\"command\\": \\"ls\\"}"}', "ls", None),
         ('{"name": "bash", "arguments": {"command": "echo \'<bash>x</bash>\'"}}', "echo '<bash>x</bash>'", None),
         ('The file has\n{"name": "bash", "version": 5}\n<bash>ls</bash>', "ls", None),
         ('<bash>cat >x <<E\n{"name": "finish"}\nE</bash>', 'cat >x <<E\n{"name": "finish"}\nE', None),
@@ -77,8 +51,6 @@ def native(*calls: tuple[str, Any]) -> Response:
         ("<think>never closed <bash>ls</bash>", "ls", None),
         ("<bash>echo '</think>'</bash>", "echo '</think>'", None),
         ('I use `<bash>` and <bash>echo "<bash>"</bash>', 'echo "<bash>"', None),
-        ("<bash>ls</bash><finish/>", "ls", None),
-        ("<bash>echo '<finish/>'</bash>", "echo '<finish/>'", None),
         ("<keys>never closed <bash>ls</bash>", "ls", None),
         ("I look.\n```\nls -l\n```", "ls -l", None),
         ("```bash\nls\n```\n```\nits output\n```", "ls", None),
@@ -107,13 +79,6 @@ def test_read_action_finds_commands_of_model_families(response: str, command: st
     test_read_action_finds_commands(response, command, timeout_s)
 
 
-def test_read_action_keeps_what_was_read() -> None:
-    """The text of an action ends where the action does."""
-    assert read_action("Now:\n<bash>ls</bash> and then").text == "Now:\n<bash>ls</bash>"
-    assert read_action("```sh\nls\n```\nand then").text == "```sh\nls\n```"
-    assert read_action("<finish></finish> done").text == "<finish></finish>"
-
-
 @pytest.mark.parametrize(
     ("response", "keys", "wait_s"),
     [
@@ -123,11 +88,7 @@ def test_read_action_keeps_what_was_read() -> None:
         ('<tool_call>{"name": "keys", "arguments": {"keys": ["a", "<C-c>"], "wait": 1}}</tool_call>', "a<C-c>", 1.0),
         (TERMINUS_JSON, "cat <lt>x\n<C-c>", 2.5),
         (f"```json\n{TERMINUS_JSON}\n```", "cat <lt>x\n<C-c>", 2.5),
-        (
-            '{"state_analysis": "", "commands": [{"keystrokes": "ls\\n", "is_blocking": true, "timeout_sec": 4}]}',
-            "ls\n",
-            4,
-        ),
+        ('{"commands": [{"keystrokes": "ls\\n", "is_blocking": true, "timeout_sec": 4}]}', "ls\n", 4),
         (TERMINUS_XML, "cat <lt>x\n<C-c>", 1.5),
     ],
 )
@@ -138,19 +99,12 @@ def test_read_action_finds_keys(response: str, keys: str, wait_s: float | None) 
     assert (read.keys, read.wait_s) == (keys, wait_s)
 
 
-@pytest.mark.parametrize(
-    "response",
-    [
-        "<finish/>",
-        "<finish />",
-        "<finish>",
-        "<finish></finish>",
-        '<tool_call>{"name": "finish"}</tool_call>',
-        '\n{"name": "finish"}',
-        '{"analysis": "All is done.", "commands": [], "task_complete": true}',
-        "<response><commands></commands><task_complete>true</task_complete></response>",
-    ],
-)
+FINISHES = ["<finish/>", "<finish />", "<finish>", "<finish></finish>", '<tool_call>{"name": "finish"}</tool_call>']
+FINISHES += ['\n{"name": "finish"}', '{"analysis": "All is done.", "commands": [], "task_complete": true}']
+FINISHES += ["<response><commands></commands><task_complete>true</task_complete></response>"]
+
+
+@pytest.mark.parametrize("response", FINISHES)
 def test_read_action_finds_the_end(response: str) -> None:
     """All ways to write the end are read."""
     assert isinstance(read_action(f"Done. {response} Bye."), Finish)
@@ -161,8 +115,6 @@ def test_read_action_finds_the_end(response: str) -> None:
     [
         ("<bash>ls</bash> and <bash>pwd</bash>, then\n```bash\nid\n```\n<finish/>", 3),
         ("<bash>echo '<finish/>'</bash> I use `<bash>`, <bash>", 0),
-        ("<think><bash>ls</bash></think><bash>pwd</bash>", 0),
-        ("<bash>ls</bash>\n```\nits output\n```", 0),
         ("<bash>ls</bash>" * 100, 20),
         (TERMINUS_JSON, 0),
         (TERMINUS_XML, 0),
@@ -175,7 +127,12 @@ def test_read_action_counts_what_it_ignores(response: str, ignored: int) -> None
 
 def test_read_action_takes_native_calls_before_text() -> None:
     """The first native call is the action; the others are named, so that they can be answered."""
-    read = read_action(native(("bash", {"command": "ls", "timeout": 5}), ("finish", {})))
+    functions = [
+        {"name": "bash", "arguments": '{"command": "ls", "timeout": 5}'},
+        {"name": "finish", "arguments": "{}"},
+    ]
+    calls = [{"id": f"call-{at}", "type": "function", "function": one} for at, one in enumerate(functions)]
+    read = read_action(Response("I call.", tool_calls=calls))
     assert read == Bash("ls", 5.0, text="I call.", call_id="call-0", other_call_ids=("call-1",), ignored=1)
     assert isinstance(read_action(Response("<bash>ls</bash>", tool_calls=[])), Bash)
 
@@ -197,7 +154,6 @@ def test_read_action_takes_native_calls_before_text() -> None:
         ("I use <bash> now. <bash>ls</bash>", "opened twice"),
         ("<bash time='3'>ls</bash>", "no attribute 'time'"),
         ("<bash timeout='soon'>ls</bash>", "number of seconds"),
-        ("<bash timeout='-1'>ls</bash>", "number of seconds"),
         ("<keys wait='x'>a</keys>", "number of seconds"),
         ("<bash>cmd: [</bash>", "no valid YAML"),
         ("<bash>timeout_secs: 3</bash>", "under cmd"),
@@ -242,29 +198,10 @@ def test_read_action_takes_any_text(response: str) -> None:
         assert "<think>" in response or read.command in response or "cmd" in response or "command" in response
 
 
-@given(st.text(min_size=1).filter(lambda text: text.strip() and "<" not in text and "`" not in text))
-def test_read_action_returns_commands_as_they_are(command: str) -> None:
-    """A command in tags is run to the letter, line breaks around it apart."""
-    read = read_action(f"<bash>{command}</bash>")
-    if isinstance(read, Bash) and "cmd" not in command:
-        assert read.command == command.strip("\r\n")
+OPENINGS = ["<bash>", "<bash ", "</think>", "```bash\n", "<tool_call>{", "<finish ", "<commands>", '{"plan": [']
 
 
-@pytest.mark.parametrize(
-    "piece",
-    [
-        "<bash>",
-        "<bash ",
-        "</think>",
-        "```bash\n",
-        "<tool_call>{",
-        "<finish ",
-        '"<bash>"',
-        "<keys a='",
-        "<commands>",
-        '{"plan": [',
-    ],
-)
+@pytest.mark.parametrize("piece", OPENINGS)
 def test_read_action_reads_megabytes(piece: str) -> None:
     """A response of openings alone is read once, not again from each of them; it would take hours otherwise."""
     assert isinstance(read_action(piece * 100_000), Malformed)

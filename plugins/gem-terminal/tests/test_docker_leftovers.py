@@ -13,16 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 import requests
-from docker_machines import (
-    BASE,
-    DOCKERFILE,
-    SMALL,
-    backend,
-    left,
-    needs_engine,
-    run_label,
-    task,
-)
+from docker_machines import BASE, SMALL, backend, left, needs_engine, run_label, soon, task
 
 from gem_terminal.backends.docker.backend import DockerBackend
 from gem_terminal.backends.docker.engine import Client
@@ -37,39 +28,41 @@ if TYPE_CHECKING:
 __all__ = ["backend", "run_label", "task"]
 pytestmark = needs_engine
 
-_PROGRAM = """
-    import sys, time
+PROGRAM = """
+    import os, sys
     from pathlib import Path
     sys.path.insert(0, {tests!r})
-    from docker_machines import SMALL, BASE, DockerBackend, make_task, Container, ready
+    from docker_machines import SMALL, BASE, DockerBackend, make_task, Container
     from gem_terminal.backends.docker.sweeping import labels
-    import os; run = os.environ["GEM_TERMINAL_RUN"]
     backend = DockerBackend(build_args={{"BASE": BASE}})
     folder = Path({folder!r})
-    task = make_task(folder, dockerfile={dockerfile!r})
+    task = make_task(folder)
     print("begin", flush=True)
     {work}
 """
 
 
-def program(folder: Path, work: str, dockerfile: str = DOCKERFILE) -> list[str]:
+def program(folder: Path, work: str) -> list[str]:
     """Return a command that does something with a backend in a process of its own."""
-    tests = os.path.dirname(__file__)
-    text = textwrap.dedent(_PROGRAM).format(tests=tests, folder=str(folder), dockerfile=dockerfile, work=work)
+    text = textwrap.dedent(PROGRAM).format(tests=os.path.dirname(__file__), folder=str(folder), work=work)
     return [sys.executable, "-c", text]
 
 
-def test_an_interpreter_that_ends_leaves_nothing(task: Task, tmp_path: Path, run_label: str) -> None:
+ENDINGS = [
+    "m = backend.start(task, SMALL)",
+    "m = backend.start(task, SMALL); raise KeyboardInterrupt",
+    # As a start that was broken off may leave.
+    "backend.start(task, SMALL); backend.engine.client.create_volume(os.environ['GEM_TERMINAL_RUN'] + 'x', "
+    "labels=labels('volume'))",
+]
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_an_interpreter_that_ends_leaves_nothing(task: Task, tmp_path: Path, run_label: str, ending: str) -> None:
     """Nobody has to close anything; also not when an exception ends it."""
-    for ending in (
-        "m = backend.start(task, SMALL)",
-        "m = backend.start(task, SMALL); raise KeyboardInterrupt",
-        # As a start that was broken off may leave.
-        "backend.start(task, SMALL); backend.engine.client.create_volume('x' + run, labels=labels('volume'))",
-    ):
-        done = subprocess.run(program(tmp_path, ending), capture_output=True, timeout=120, check=False)
-        assert b"begin" in done.stdout, done.stderr
-        assert left(run_label) == []
+    done = subprocess.run(program(tmp_path, ending), capture_output=True, timeout=120, check=False)
+    assert b"begin" in done.stdout, done.stderr
+    assert left(run_label) == []
 
 
 def test_what_could_not_be_removed_is_removed_at_the_end(
@@ -90,7 +83,6 @@ def test_what_could_not_be_removed_is_removed_at_the_end(
 def test_a_forked_child_leaves_its_parents_machines_alone(backend: DockerBackend, task: Task) -> None:
     """It can have its own, on connections of its own, and ends without touching its parent's."""
     with backend.start(task, SMALL) as machine:
-        assert machine.run(["true"], timeout_s=30).exit_code == 0
         child = os.fork()
         if not child:
             code = 1
@@ -107,28 +99,24 @@ def test_a_forked_child_leaves_its_parents_machines_alone(backend: DockerBackend
 def test_closing_removes_all_machines(task: Task, run_label: str) -> None:
     """Those that are still held say so afterwards."""
     other = DockerBackend(build_args={"BASE": BASE})
-    machines = [other.start(task, SMALL) for _ in range(3)]
+    machines = [other.start(task, SMALL) for _ in range(2)]
     other.close()
     other.close()
     assert left(run_label) == []
     for machine in machines:
         machine.remove()
-        with pytest.raises(MachineLostError, match="the machine was removed"):
+        with pytest.raises(MachineLostError, match="was removed"):
             machine.run(["true"], timeout_s=5)
 
 
-_SERVICES = "{'db': Container(context=folder, command=('sleep', '99'), volumes={'data': '/data'})}"
-_WORK = {
-    "starting": "while True: backend.start(task, SMALL).remove()",
+SERVICES = "{'db': Container(context=folder, command=('sleep', '99'), volumes={'data': '/data'})}"
+WORK = {
     "running": "m = backend.start(task, SMALL)\nwhile True: m.run(['true'], timeout_s=30); m.processes()",
-    "serving": (
-        f"task = make_task(folder, dockerfile={DOCKERFILE!r}, services={_SERVICES})\n"
-        "while True: backend.start(task, SMALL).remove()"
-    ),
+    "serving": f"task = make_task(folder, services={SERVICES})\nwhile True: backend.start(task, SMALL).remove()",
 }
 
 
-@pytest.mark.parametrize("work", sorted(_WORK))
+@pytest.mark.parametrize("work", WORK)
 def test_a_killed_process_is_cleared_up_after(
     backend: DockerBackend, task: Task, tmp_path: Path, run_label: str, work: str
 ) -> None:
@@ -137,32 +125,27 @@ def test_a_killed_process_is_cleared_up_after(
     dice = random.Random(work)
     with backend.start(task, SMALL) as kept:
         for _ in range(3):
-            with subprocess.Popen(program(tmp_path, _WORK[work]), stdout=subprocess.PIPE) as process:
+            with subprocess.Popen(program(tmp_path, WORK[work]), stdout=subprocess.PIPE) as process:
                 assert process.stdout is not None
                 assert process.stdout.readline() == b"begin\n"
                 # Any moment will do, and no outcome hangs on which one it is.
                 time.sleep(dice.uniform(0.05, 1.2))
                 process.send_signal(signal.SIGKILL)
         # What it had asked for just before its end may still be under way.
-        deadline = time.monotonic() + 60
-        sweep(backend.engine)
-        while len(left(run_label)) > 1 and time.monotonic() < deadline:
-            sweep(backend.engine)
+        assert soon(lambda: sweep(backend.engine) is None or len(left(run_label)) == 1)
         assert left(run_label) == [f"container ['/{kept.id}']"]
         assert kept.run(["true"], timeout_s=30).exit_code == 0
 
 
 def test_an_owner_is_dead_only_where_that_is_sure() -> None:
     """This process is not, another machine's is unknown, and a number that was given anew is no owner."""
-    me = owner()
-    place, pid, started = me.split(":")
-    assert not is_dead(me)
+    place, pid, started = owner().split(":")
+    boot, namespace, user = place.split("/")
     assert is_dead(f"{place}:{pid}:{int(started) + 1}")
     assert is_dead(f"{place}:4194999:1")
-    assert not is_dead(f"elsewhere/1:{pid}:1")
-    boot, namespace, user = place.split("/")
-    assert not is_dead(f"{boot}/{namespace}/{int(user) + 1}:4194999:1")
-    assert not any(is_dead(text) for text in ("", ":", "::", "a:b", f"{place}:x:1", f"{place}:-1:1"))
+    alive = [owner(), f"elsewhere/1:{pid}:1", f"{boot}/{namespace}/{int(user) + 1}:4194999:1"]
+    alive += ["", ":", "::", "a:b", f"{place}:x:1", f"{place}:-1:1"]
+    assert [text for text in alive if is_dead(text)] == []
 
 
 def test_what_has_expired_is_removed_whoever_owns_it(backend: DockerBackend, run_label: str) -> None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from memory_backend import plain_task
-from scripted import Script, make
 
 from gem_terminal.backends.interface import Limits, Resources
 from gem_terminal.tasks.task import Container, Environment
@@ -55,15 +54,10 @@ def test_what_is_missing_is_said_with_its_reason() -> None:
     ]
 
 
-def test_reset_says_what_a_task_does_not_get(
-    monkeypatch: pytest.MonkeyPatch, script: Script, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_reset_says_what_a_task_does_not_get(make: Any, caplog: pytest.LogCaptureFixture) -> None:
     """In ``info``, and once as a warning."""
-    env = make(monkeypatch, script, [task_of(BIG)])
+    env = make(task_of(BIG))
     for _ in range(2):
         _, info = env.reset()
-        assert info["terminal"]["shortfall"] == [
-            "the task asks for 4 processors and gets 2: what the engine's computer has"
-        ]
+        assert "4 processors" in info["terminal"]["shortfall"][0]
     assert caplog.text.count("4 processors") == 1
-    env.close()

@@ -9,6 +9,7 @@ import random
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import pytest
 from memory_backend import MemoryBackend, MemoryMachine, plain_task
@@ -20,42 +21,49 @@ from gem_terminal.pool import Holdings, MachinePool
 LIMITS = Limits(memory_mb=100)
 
 
+class Owner:
+    """Stands for an environment."""
+
+
 class Setting:
     """A pool on a backend in memory, and one who takes machines."""
 
-    def __init__(self, **options: float) -> None:
+    def __init__(self, **options: Any) -> None:
         self.backend = MemoryBackend()
-        self.pool = MachinePool(**options)  # type: ignore[arg-type]
-        self.user = object()
+        self.pool = MachinePool(**options)
+        self.user = Owner()
 
-    def close(self) -> None:
-        """Have the one who takes machines leave."""
-        self.pool.leave(self.user)
-
-    def take(self, name: str = "one", ready: int = 0, user: object = None) -> MemoryMachine:
+    def take(self, name: str = "one", ready: int = 0, user: object = None) -> Any:
         """Take a machine."""
-        machine = self.pool.take(user or self.user, self.backend, plain_task(name), LIMITS, ready=ready)
-        assert isinstance(machine, MemoryMachine)
-        return machine
+        return self.pool.take(user or self.user, self.backend, plain_task(name), LIMITS, ready=ready)
 
-    def prestart(self, name: str = "one", ready: int = 1, user: object = None) -> None:
+    def prestart(self, ready: int = 1, user: object = None) -> None:
         """Have machines made ready."""
-        self.pool.prestart(user or self.user, self.backend, plain_task(name), LIMITS, ready=ready)
+        self.pool.prestart(user or self.user, self.backend, plain_task(), LIMITS, ready=ready)
 
     def made(self, count: int) -> list[MemoryMachine]:
         """Wait until so many machines were made, and return all."""
         assert until(lambda: len(self.backend.made) >= count)
         return self.backend.made
 
+    def prestart_held(self) -> None:
+        """Have a machine made ready whose start takes a while, and return when it has begun."""
+        gate, started = threading.Event(), threading.Event()
+        self.backend.on_start = lambda _: (started.set(), gate.wait(30))
+        self.prestart()
+        assert started.wait(30)
+        threading.Timer(0.05, gate.set).start()
+
 
 def until(holds: Callable[[], bool]) -> bool:
     """Wait for something that happens in another thread."""
     pause = threading.Event()
-    for _ in range(3000):
-        if holds():
-            return True
-        pause.wait(0.01)
-    return False
+    return any(holds() or pause.wait(0.01) for _ in range(3000))
+
+
+def fail(_: object) -> None:
+    """Start no machine."""
+    raise EngineError("no engine; start one")
 
 
 @pytest.fixture
@@ -63,9 +71,8 @@ def setting() -> Iterator[Setting]:
     """Give a setting, and find nothing ready in the end."""
     setting = Setting()
     yield setting
-    setting.close()
-    for machine in setting.backend.made:
-        assert machine.removed <= 1
+    setting.pool.leave(setting.user)
+    assert all(machine.removed <= 1 for machine in setting.backend.made)
 
 
 def test_take_gets_the_machine_that_was_made_ready_before(setting: Setting) -> None:
@@ -78,32 +85,26 @@ def test_take_gets_the_machine_that_was_made_ready_before(setting: Setting) -> N
 
 def test_start_that_is_under_way_serves_the_reset_that_comes_meanwhile(setting: Setting) -> None:
     """Nothing is started twice."""
-    gate, started = threading.Event(), threading.Event()
-
-    def held(_: object) -> None:
-        started.set()
-        gate.wait(30)
-
-    setting.backend.on_start = held
-    setting.prestart()
-    assert started.wait(30)
-    threading.Timer(0.05, gate.set).start()
+    setting.prestart_held()
     assert setting.take() is setting.backend.made[0]
     assert len(setting.backend.made) == 1
 
 
+def test_start_under_way_when_its_user_leaves_is_removed(setting: Setting) -> None:
+    """It arrives, and is gone."""
+    setting.prestart_held()
+    setting.pool.leave(setting.user)
+    assert [machine.removed for machine in setting.backend.made] == [1]
+
+
 def test_failing_start_is_raised_in_the_reset_that_waits(setting: Setting, caplog: pytest.LogCaptureFixture) -> None:
     """One that nobody waits for is logged; the next reset tries again."""
-
-    def fail(_: object) -> None:
-        raise EngineError("no engine; start one")
-
     setting.backend.on_start = fail
     with pytest.raises(EngineError, match="no engine; start one"):
         setting.take()
     with caplog.at_level(logging.WARNING):
         setting.prestart()
-        assert until(lambda: "a machine of the task one did not start: no engine; start one" in caplog.text)
+        assert until(lambda: "no engine; start one" in caplog.text)
     setting.backend.on_start = None
     assert setting.take() in setting.backend.made
 
@@ -120,10 +121,10 @@ def test_machine_that_was_lost_while_ready_is_never_handed_out(setting: Setting)
 def test_machine_unused_for_long_makes_room() -> None:
     """As where there is room for one alone, and another task is asked for."""
     setting = Setting(most=1, idle_s=0.0)
-    setting.prestart("one")
+    setting.prestart()
     setting.made(1)
     assert until(lambda: setting.take("two", ready=1).task.name == "two" and setting.backend.made[0].removed == 1)
-    setting.close()
+    setting.pool.leave(setting.user)
 
 
 def test_number_and_memory_of_ready_machines_are_bounded() -> None:
@@ -132,14 +133,14 @@ def test_number_and_memory_of_ready_machines_are_bounded() -> None:
         setting = Setting(**options)
         setting.prestart(ready=1_000)
         assert len(setting.made(most)) == most
-        setting.close()
+        setting.pool.leave(setting.user)
         assert len(setting.backend.made) == most
         assert setting.backend.live == {}
 
 
 def test_leave_removes_what_nobody_else_uses(setting: Setting) -> None:
     """Two environments on one task share what is ready; the last one to leave ends it."""
-    other = object()
+    other = Owner()
     setting.prestart()
     setting.prestart(user=other)
     (machine,) = setting.made(1)
@@ -149,36 +150,15 @@ def test_leave_removes_what_nobody_else_uses(setting: Setting) -> None:
     assert machine.removed == 1
 
 
-def test_start_under_way_when_its_user_leaves_is_removed(setting: Setting) -> None:
-    """It arrives, and is gone."""
-    gate, started = threading.Event(), threading.Event()
-
-    def held(_: object) -> None:
-        started.set()
-        gate.wait(30)
-
-    setting.backend.on_start = held
-    setting.prestart()
-    assert started.wait(30)
-    threading.Timer(0.05, gate.set).start()
-    setting.pool.leave(setting.user)
-    assert [machine.removed for machine in setting.backend.made] == [1]
-
-
 def test_many_threads_take_and_discard_and_nothing_is_left() -> None:
     """No machine goes to two, and all are removed at the end; starts fail and machines are lost meanwhile."""
     setting = Setting(most=4, idle_s=0.01)
     draw = random.Random(1)
     seen: list[str] = []
-
-    def fails(_: object) -> None:
-        if draw.random() < 0.1:
-            raise EngineError("this one fails")
-
-    setting.backend.on_start = fails
+    setting.backend.on_start = lambda task: fail(task) if draw.random() < 0.1 else None
 
     def episodes(number: int) -> None:
-        user = object()
+        user = Owner()
         for turn in range(20):
             try:
                 machine = setting.take(f"task {(number + turn) % 3}", ready=1, user=user)
@@ -197,50 +177,30 @@ def test_many_threads_take_and_discard_and_nothing_is_left() -> None:
     assert all(machine.removed == 1 for machine in setting.backend.made)
 
 
-class Owner:
-    """Stands for an environment."""
-
-
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system")
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 def test_release_removes_all_and_may_be_called_again() -> None:
-    """Also what was only made ready."""
-    backend, pool, owner = MemoryBackend(), MachinePool(), Owner()
-    holdings = Holdings(owner, pool)
-    machine = holdings.take(backend, plain_task(), Limits(), 2)
+    """Also what was only made ready; a forked child removes nothing of its parent."""
+    setting = Setting()
+    holdings = Holdings(setting.user, setting.pool)
+    machine = holdings.take(setting.backend, plain_task(), LIMITS, 2)
+    child = os.fork()
+    if child == 0:
+        there = len(setting.backend.live)
+        holdings.release()
+        os._exit(0 if len(setting.backend.live) == there else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     holdings.release()
     holdings.release()
-    assert backend.live == {}
+    assert setting.backend.live == {}
     holdings.give_back(machine)
     assert machine.removed == 1
 
 
 def test_forgotten_owner_gives_back_everything() -> None:
     """The garbage collector is enough."""
-    gone = threading.Event()
-    backend, pool = MemoryBackend(), MachinePool()
-
-    def make() -> None:
-        owner = Owner()
-        Holdings(owner, pool).take(backend, plain_task(), Limits(), 0)
-        machine = backend.made[0]
-        remove = machine.remove
-        machine.remove = lambda: (remove(), gone.set())  # type: ignore[method-assign, assignment, return-value]
-
-    make()
+    setting = Setting()
+    Holdings(setting.user, setting.pool).take(setting.backend, plain_task(), LIMITS, 0)
+    setting.user = None
     gc.collect()
-    assert gone.wait(30)
-    assert backend.live == {}
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system")
-@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
-def test_forked_child_removes_nothing_of_its_parent() -> None:
-    """What is there belongs to the parent, which goes on with it."""
-    backend, pool, owner = MemoryBackend(), MachinePool(), Owner()
-    holdings = Holdings(owner, pool)
-    holdings.take(backend, plain_task(), Limits(), 0)
-    child = os.fork()
-    if child == 0:
-        holdings.release()
-        os._exit(0 if len(backend.live) == 1 else 1)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-    holdings.release()
+    assert until(lambda: setting.backend.live == {})

@@ -1,33 +1,36 @@
-"""The tasks of terminal:Sample: one source of each, two formats, and what runs their checks."""
+"""The tasks of terminal:Sample: two formats of one source, their reference and wrong solutions, and their checks."""
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import pytest
-from sample_trials import NAMES, WRONG, caught_by
+from docker_machines import needs_engine
 
+import gem_core
 import gem_terminal
 from gem_terminal import sample
 from gem_terminal.errors import TaskError
 from gem_terminal.tasks.folders import find_tasks
 
-if TYPE_CHECKING:
-    from gem_terminal.tasks.task import Task
-
 DATA = Path(gem_terminal.__file__).parent / "data" / "sample"
+WRONG = {
+    folder.name: sorted(folder.glob("*.sh")) for folder in sorted(Path(__file__).with_name("wrong_solutions").iterdir())
+}
+"""The solutions that must fail, ``wrong_solutions/TASK/NAME.sh``: a line ``# fails:`` says by which checks."""
+NAMES = list(WRONG)
+EACH = ("terminal:Sample", "terminal:Sample-terminal-bench")
 
 
-@pytest.fixture(scope="module", params=["harbor", "terminal-bench"])
-def tasks(request: pytest.FixtureRequest) -> list[Task]:
-    """Give the sample tasks in each format."""
-    return list(find_tasks([sample.sample_folder(request.param)]).tasks)
+def caught_by(wrong: Path) -> set[str]:
+    """Return the names of the checks that a wrong solution fails by, as it says itself."""
+    lines = wrong.read_text(encoding="utf-8").splitlines()
+    return {name for line in lines if line.startswith("# fails: ") for name in line.split()[2:]}
 
 
 def run_checks(folder: Path, checks: str, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -39,44 +42,35 @@ def run_checks(folder: Path, checks: str, *arguments: str) -> subprocess.Complet
     return subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=folder)
 
 
-def test_there_are_tasks_of_every_kind(tasks: list[Task]):
-    """At least twelve in both formats, easy to hard, of the kinds that are asked for; nothing is passed over."""
-    assert [task.name for task in tasks] == NAMES
-    assert len(tasks) >= 12
-    assert {task.difficulty for task in tasks} == {"easy", "medium", "hard"}
-    kinds = {"files", "text-processing", "permissions", "processes", "git", "servers", "scheduling", "archives"}
-    assert kinds | {"scripting", "databases"} <= {task.category for task in tasks}
-    assert [task.notes for task in tasks if task.notes or task.environment.unsupported] == []
-
-
-def test_both_formats_ask_the_same():
-    """One instruction, time limits, checks, solution and image in both."""
-    formats = [find_tasks([sample.sample_folder(form)]).tasks for form in ("harbor", "terminal-bench")]
-    for one, other in zip(*formats, strict=True):
-        assert (one.format, other.format) == ("harbor", "terminal-bench")
-        assert one.steps[0].instruction == other.steps[0].instruction
-        assert one.steps[0].agent_timeout_s == other.steps[0].agent_timeout_s == 600
-        assert one.steps[0].verifier.timeout_s == other.steps[0].verifier.timeout_s == 120
+def test_both_formats_ask_the_same_of_every_kind():
+    """Easy to hard; one instruction, time limits, checks, solution and image in both; nothing is passed over."""
+    harbor, bench = (find_tasks([sample.sample_folder(form)]).tasks for form in ("harbor", "terminal-bench"))
+    assert [task.name for task in harbor] == [task.name for task in bench] == NAMES
+    assert {task.difficulty for task in harbor} == {"easy", "medium", "hard"}
+    assert len({task.category for task in harbor}) >= 10
+    assert [task.notes for task in (*harbor, *bench) if task.notes or task.environment.unsupported] == []
+    for one, other in zip(harbor, bench, strict=True):
+        (a,), (b,) = one.steps, other.steps
+        said = [(step.instruction, step.agent_timeout_s, step.verifier.timeout_s) for step in (a, b)]
+        assert said[0] == said[1] == (a.instruction, 600, 120)
         assert (one.category, one.difficulty, one.tags) == (other.category, other.difficulty, other.tags)
-        assert one.environment.main.entrypoint == other.environment.main.entrypoint
-        for inside in ("tests/checks.py", "tests/runner.py", "tests/sample_helpers.py"):
-            assert (one.folder / inside).read_bytes() == (other.folder / inside).read_bytes()
-        assert (one.folder / "solution/solve.sh").read_bytes() == (other.folder / "solution.sh").read_bytes()
-        image = {path.name: path.read_bytes() for path in (one.folder / "environment/setup").iterdir()}
-        assert image == {path.name: path.read_bytes() for path in (other.folder / "setup").iterdir()}
-        assert (one.folder / "environment/Dockerfile").read_bytes() == (other.folder / "Dockerfile").read_bytes()
+        files = {"tests/checks.py": "", "tests/runner.py": "", "tests/sample_helpers.py": ""}
+        files |= {"solution/solve.sh": "solution.sh", "environment/Dockerfile": "Dockerfile"}
+        setup = [path.name for path in (one.folder / "environment/setup").iterdir()]
+        for inside, there in (files | {f"environment/setup/{name}": f"setup/{name}" for name in setup}).items():
+            assert (one.folder / inside).read_bytes() == (other.folder / (there or inside)).read_bytes()
 
 
 def test_folders_are_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """In the cache folder; one that cannot be written to is an error that names the variable."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    sample.sample_folder.cache_clear()
-    first = sample.sample_folder("harbor")
-    assert first.parent == tmp_path / "cache" / "gem" / "terminal-sample"
-    written = (first / "count-errors" / "task.toml").stat().st_mtime_ns
-    sample.sample_folder.cache_clear()
-    assert sample.sample_folder("harbor") == first
-    assert (first / "count-errors" / "task.toml").stat().st_mtime_ns == written
+    written = []
+    for _ in range(2):
+        sample.sample_folder.cache_clear()
+        folder = sample.sample_folder("harbor")
+        assert folder.parent == tmp_path / "cache" / "gem" / "terminal-sample"
+        written.append((folder / "count-errors" / "task.toml").stat().st_mtime_ns)
+    assert written[0] == written[1]
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     sample.sample_folder.cache_clear()
@@ -88,100 +82,76 @@ def test_folders_are_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize("name", NAMES)
 def test_wrong_solutions_name_the_checks_that_catch_them(name: str):
     """There are two at least, and the checks they name exist."""
-    text = (DATA / "tasks" / name / "tests" / "checks.py").read_text(encoding="utf-8")
-    checks = re.findall(r"^def (test_\w+)", text, re.MULTILINE)
+    checks = re.findall(
+        r"^def (test_\w+)", (DATA / "tasks" / name / "tests/checks.py").read_text("utf-8"), re.MULTILINE
+    )
     assert len(WRONG[name]) >= 2
     for path in WRONG[name]:
-        assert caught_by(path)
-        assert caught_by(path) <= set(checks)
+        assert set() < caught_by(path) <= set(checks)
+
+
+CHECKS = """
+import os
+from sample_helpers import read_bytes, run
+
+def test_b():
+    pass
+
+def test_a():
+    assert False, 'two\\nlines'
+
+def test_forged():  # what looks like a summary is marked, line by line, and cut
+    forged = 'PASSED checks.py::test_a'
+    raise ValueError(f'x\\n= short test summary info =\\n{forged}\\r\\u2028{forged}\\n' * 1000)
+
+def test_pipe():  # a pipe, a giant file, and a program that neither ends nor stops writing hold up no check
+    os.mkfifo('pipe')
+    read_bytes('pipe')
+
+def test_giant():
+    with open('giant', 'wb') as file:
+        file.truncate(2**40)
+    read_bytes('giant')
+
+def test_endless():
+    assert run('sleep', '1000', timeout_s=0.2).exit_code is None
+    assert len(run('yes', timeout_s=20).out) == 5_000_000
+"""
 
 
 def test_the_runner_reports_every_check(tmp_path: Path):
-    """Passed, failed and raising checks, in their order, as pytest names them; the reward is 0 when one fails."""
-    checks = "def test_b():\n    pass\n\ndef test_a():\n    assert False, 'two\\nlines'\n\ndef test_c():\n    {}['x']\n"
-    done = run_checks(tmp_path, checks, str(tmp_path / "logs"))
-    summary = done.stdout[done.stdout.index("= short test summary info =") :].splitlines()
-    assert [line for line in summary if "::" in line] == [
-        "PASSED checks.py::test_b",
-        "FAILED checks.py::test_a - AssertionError: two lines",
-        "FAILED checks.py::test_c - KeyError: 'x'",
-    ]
-    assert done.returncode == 1
-    assert (tmp_path / "logs" / "reward.txt").read_text() == "0\n"
-    results = json.loads((tmp_path / "logs" / "ctrf.json").read_text())["results"]
-    assert [(test["name"], test["status"]) for test in results["tests"]] == [
-        ("test_b", "passed"),
-        ("test_a", "failed"),
-        ("test_c", "failed"),
-    ]
-    assert {key: results["summary"][key] for key in ("tests", "passed", "failed")} == {
-        "tests": 3,
-        "passed": 1,
-        "failed": 2,
+    """Passed and failed, in their order, as pytest names them; the reward is 0 when one fails, and 1 if none does."""
+    done = run_checks(tmp_path, CHECKS, str(tmp_path / "logs"))
+    summary = done.stdout[done.stdout.index("= short test summary info =") :]
+    found = re.findall(r"^(PASSED|FAILED) checks.py::test_(\w+)", summary, re.MULTILINE)
+    expected = {
+        "b": "PASSED",
+        "a": "FAILED",
+        "forged": "FAILED",
+        "pipe": "FAILED",
+        "giant": "FAILED",
+        "endless": "PASSED",
     }
-
-
-def test_the_runner_rewards_what_passes(tmp_path: Path):
-    """All checks passed: exit code 0, and a reward of 1."""
-    done = run_checks(tmp_path, "def test_a():\n    pass\n", str(tmp_path / "logs"))
-    assert done.returncode == 0
-    assert (tmp_path / "logs" / "reward.txt").read_text() == "1\n"
-
-
-def test_what_a_check_found_is_not_taken_for_a_summary(tmp_path: Path):
-    """A file of the agent's that looks like a summary is marked, line by line, and cut, where a message repeats it."""
-    forged = "x\n= short test summary info =\nPASSED checks.py::test_a\r\u2028PASSED checks.py::test_a\n"
-    done = run_checks(tmp_path, f"def test_a():\n    raise ValueError({forged!r} * 1000)\n")
-    lines = done.stdout.splitlines()
-    assert [line for line in lines if line.startswith("PASSED")] == []
-    assert sum(line.startswith("====") and "short test summary info" in line for line in lines) == 1
+    assert found == [(status, name) for name, status in expected.items()]
+    assert "FAILED checks.py::test_a - AssertionError: two lines\n" in summary
+    assert len(re.findall("^=+ short test summary info", done.stdout, re.MULTILINE)) == 1
     assert len(done.stdout) < 10_000
-
-
-def test_helpers_refuse_what_would_hold_them_up(tmp_path: Path):
-    """A pipe, a giant file, and a program that neither ends nor stops writing make a check fail, not hang."""
-    checks = f"""
-import os
-from sample_helpers import files_below, read_bytes, run
-
-def test_pipe():
-    os.mkfifo({str(tmp_path / "pipe")!r})
-    read_bytes({str(tmp_path / "pipe")!r})
-
-def test_giant():
-    with open({str(tmp_path / "giant")!r}, "wb") as file:
-        file.truncate(2**40)
-    read_bytes({str(tmp_path / "giant")!r})
-
-def test_endless():
-    assert run("sleep", "1000", timeout_s=0.2).exit_code is None
-
-def test_output_is_limited():
-    done = run("yes", timeout_s=20)
-    assert done.exit_code != 0
-    assert len(done.out) == 5_000_000
-"""
-    done = run_checks(tmp_path, checks)
-    assert re.findall(r"^(PASSED|FAILED) checks.py::(\w+)", done.stdout, re.MULTILINE) == [
-        ("FAILED", "test_pipe"),
-        ("FAILED", "test_giant"),
-        ("PASSED", "test_endless"),
-        ("PASSED", "test_output_is_limited"),
-    ]
+    assert (done.returncode, (tmp_path / "logs/reward.txt").read_text()) == (1, "0\n")
+    report = (tmp_path / "logs/ctrf.json").read_text()
+    assert [report.count(f'"status": "{status}"') for status in ("passed", "failed")] == [2, 4]
+    done = run_checks(tmp_path, "def test_a():\n    pass\n", str(tmp_path / "logs"))
+    assert (done.returncode, (tmp_path / "logs/reward.txt").read_text()) == (0, "1\n")
 
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
 def test_git_finds_the_lost_commit(tmp_path: Path):
     """The repository that lost-commit makes by hand is one to git: whole, clean, its commits those of the checks."""
-    setup = (DATA / "tasks/lost-commit/environment/setup/make.py").read_text(encoding="utf-8")
-    checks = (DATA / "tasks/lost-commit/tests/checks.py").read_text(encoding="utf-8")
-    root = tmp_path / "project"
-    made = setup.replace('ROOT = "/app/project"', f"ROOT = {str(root)!r}")
-    assert made != setup
+    task = DATA / "tasks/lost-commit"
+    made = (task / "environment/setup/make.py").read_text("utf-8").replace("/app/project", str(tmp_path / "project"))
     subprocess.run([sys.executable, "-c", made], check=True, timeout=60)
 
     def git(*words: str) -> str:
-        command = ["git", "-c", "safe.directory=*", "-C", str(root), *words]
+        command = ["git", "-c", "safe.directory=*", "-C", str(tmp_path / "project"), *words]
         return subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
 
     assert git("status", "--porcelain") == ""
@@ -189,4 +159,48 @@ def test_git_finds_the_lost_commit(tmp_path: Path):
     assert len(dangling) == 3
     same = [name for name in dangling if git("log", "-1", "--format=%s", name) == "Export orders as a table\n"]
     later = max(same, key=lambda name: int(git("log", "-1", "--format=%ct", name)))
+    checks = (task / "tests/checks.py").read_text("utf-8")
     assert re.findall(r'^(?:LOST|MAIN) = "(\w+)"', checks, re.MULTILINE) == [later, git("rev-parse", "main").strip()]
+
+
+@pytest.fixture
+def finish(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Take actions in a task, and return what its tests say."""
+    monkeypatch.setenv("GEM_TERMINAL_RUN", "sample-trials")
+
+    def finish(env_id: str, task: str, *actions: str) -> tuple[float, set[str]]:
+        env = gem_core.make(env_id, tasks=task, pool_size=0)
+        try:
+            env.reset(seed=0)
+            for action in actions or (env.gold_action(),):
+                env.step(action)
+            assert env.gold_action() == "<finish/>"
+            _, reward, terminated, _, info = env.step("<finish/>")
+        finally:
+            env.close()
+        assert terminated, info
+        return reward, {test["name"] for test in info["verifier"]["tests"] if not test["passed"]}
+
+    return finish
+
+
+@needs_engine
+@pytest.mark.few(2)
+@pytest.mark.parametrize("env_id", EACH)
+@pytest.mark.parametrize("name", NAMES)
+def test_only_the_reference_solution_passes(finish: Any, env_id: str, name: str):
+    """Doing nothing fails, and what the task ships as its solution, its gold action, passes."""
+    assert finish(env_id, name) == (1.0, set())
+    reward, failed = finish(env_id, name, "<bash>true</bash>")
+    assert (reward, bool(failed)) == (0.0, True)
+
+
+@needs_engine
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", NAMES)
+def test_wrong_solutions_fail_by_the_right_checks(finish: Any, name: str):
+    """A plausible mistake or a shortcut fails, by exactly the checks that it names."""
+    for wrong in WRONG[name]:
+        typed = f"<bash>\ncat >/tmp/wrong.sh <<'SCRIPT-ENDS'\n{wrong.read_text()}\nSCRIPT-ENDS\n</bash>"
+        found = finish(EACH[NAMES.index(name) % 2], name, typed, "<bash>bash /tmp/wrong.sh; rm /tmp/wrong.sh</bash>")
+        assert found == (0.0, caught_by(wrong))

@@ -29,17 +29,13 @@ def answer(shell: Shell, command: str) -> tuple[str, int | None]:
 
 
 ANSWERS = [
-    ("echo hi", "hi\n", 0),
     ("printf abc", "abc", 0),
-    ("false", "", 1),
     ("(exit 77)", "", 77),
     ("echo out; echo err >&2", "out\nerr\n", 0),
     ("cat <<E\na $((1+1))\nE", "a 2\n", 0),
     ("for i in 1 2 3\ndo\n  echo $i\ndone", "1\n2\n3\n", 0),
-    ("echo 'a\n\nb'", "a\n\nb\n", 0),
     ("printf '%s|' \"it's\" 'say \"x\"' '\\' '$HOME'", 'it\'s|say "x"|\\|$HOME|', 0),
     ("echo é漢字😀", "é漢字😀\n", 0),
-    ("echo 'a\tb'", "a\tb\n", 0),
     ("echo a\x00b", "ab\n", 0),
     ("printf '%s' '\x03\x04\x15\x1a\x7f' | od -An -c | tr -d ' \\n'", "003004025032177", 0),
     ("printf '\\377\\n'", "\ufffd\n", 0),
@@ -57,18 +53,15 @@ def test_run_answers_with_output_and_exit_code(shell: Shell) -> None:
 
 
 def test_run_keeps_the_state_of_the_shell(shell: Shell) -> None:
-    """Working directory, variables, functions and the last exit code live on."""
+    """Working directory, variables, functions, jobs and the last exit code live on; there is no history."""
     answer(shell, 'mkdir sub; cd sub; x=5; export y="a b"; f() { echo "f $1"; }')
     result = shell.run('echo $x; sh -c \'echo "$y"\'; f 3; basename "$PWD"; false', LONG)
     assert (result.output, result.exit_code) == ("5\na b\nf 3\nsub\n", 1)
     assert result.workdir.endswith("/sub")
     assert answer(shell, "echo $?") == ("1\n", 0)
-
-
-def test_run_keeps_background_jobs(shell: Shell) -> None:
-    """A job goes on between commands, and can be waited for."""
     answer(shell, "(until test -e go; do sleep 0.05; done; echo done > said) & job=$!")
     assert answer(shell, "kill -0 $job && touch go && wait $job; cat said")[0].endswith("done\n")
+    assert "touch" not in answer(shell, "fc -l -5 2>/dev/null; cat ~/.bash_history 2>/dev/null; true")[0]
 
 
 def test_run_answers_what_is_no_command(shell: Shell) -> None:
@@ -79,28 +72,23 @@ def test_run_answers_what_is_no_command(shell: Shell) -> None:
         assert answer(shell, "echo $x") == ("here\n", 0), command
 
 
+SETTINGS = [
+    "unset PROMPT_COMMAND PS1; PS0=x",
+    "PROMPT_COMMAND='echo prompt'; PS1='> '; PS2='>> '",
+    "stty raw echo",
+    "stty -icanon -isig min 0",
+    "s=tty; s=s${s%?}y; set -- st; ${1}ty sane 2>/dev/null",
+    "set -u -f",
+    "trap 'x=trapped' USR1 INT EXIT",
+    "alias echo='echo aliased' printf=false eval=false",
+    "export LC_ALL=C TERM=dumb IFS=:",
+    "unset HOME PATH_; readonly z=3",
+    "exec 3>&1 </dev/tty 2>/dev/null",
+]
+
+
 @pytest.mark.few(5)
-@pytest.mark.parametrize(
-    "command",
-    [
-        "unset PROMPT_COMMAND PS1; PS0=x",
-        "PROMPT_COMMAND='echo prompt'; PS1='> '; PS2='>> '",
-        "stty raw echo",
-        "stty -icanon -isig min 0",
-        "python3 -c 'import tty; tty.setraw(0)'",
-        "s=tty; s=s${s%?}y; set -- st; ${1}ty sane 2>/dev/null",
-        "set -u",
-        "set -f",
-        "shopt -s extglob",
-        "trap 'x=trapped' USR1 INT EXIT",
-        "alias echo='echo aliased' printf=false eval=false",
-        "export LC_ALL=C TERM=dumb IFS=:",
-        "unset HOME PATH_; readonly z=3",
-        "exec 3>&1",
-        "exec </dev/tty",
-        "exec 2>/dev/null",
-    ],
-)
+@pytest.mark.parametrize("command", SETTINGS)
 def test_run_outlives_settings(shell: Shell, command: str) -> None:
     """Whatever an agent sets, the next command is answered in the same shell."""
     assert not shell.run(f"x=here; {command}", LONG).restarted
@@ -110,20 +98,15 @@ def test_run_outlives_settings(shell: Shell, command: str) -> None:
 
 @bash_only
 def test_run_outlives_redefined_builtins(shell: Shell) -> None:
-    """Functions by the names of what the shell itself is run with change nothing."""
+    """Functions by the names of what the shell itself is run with change nothing; a lost one is made anew."""
     answer(
         shell, "x=here; printf() { :; }; eval() { :; }; read() { :; }; local() { :; }; test() { false; }; stty() { :; }"
     )
     assert answer(shell, "echo $x") == ("here\n", 0)
-
-
-@bash_only
-@pytest.mark.parametrize("command", ["unset -f __gem_prompt __gem_keep __gem_begin", "builtin() { :; }"])
-def test_run_outlives_what_it_is_run_with(shell: Shell, command: str) -> None:
-    """A shell that lost what it tells of itself by is made ready again, or replaced, and said so."""
-    shell.run(command, 1.0)
-    shell.run("true", 1.0)
-    assert answer(shell, "echo here") == ("here\n", 0)
+    for command in ("unset -f __gem_prompt __gem_keep __gem_begin", "builtin() { :; }"):
+        shell.run(command, 1.0)
+        shell.run("true", 1.0)
+        assert answer(shell, "echo here") == ("here\n", 0)
 
 
 @bash_only
@@ -135,9 +118,10 @@ def test_run_says_what_a_trace_says(shell: Shell) -> None:
     assert "__gem" not in output
 
 
-@pytest.mark.parametrize(
-    ("command", "exit_code"), [("exit 3", 3), ("kill -9 $$", 137), ("set -e; false", 1), ("exec sh -c 'exit 4'", 4)]
-)
+ENDS = [("exit 3", 3), ("kill -9 $$", 137), ("set -e; false", 1), ("exec sh -c 'exit 4'", 4)]
+
+
+@pytest.mark.parametrize(("command", "exit_code"), ENDS)
 def test_run_starts_a_new_shell(shell: Shell, command: str, exit_code: int) -> None:
     """A shell that ends is replaced by one in the same directory, and the agent is told."""
     answer(shell, "mkdir sub; cd sub; x=here")
@@ -145,10 +129,7 @@ def test_run_starts_a_new_shell(shell: Shell, command: str, exit_code: int) -> N
     assert result.output.startswith("before\n")
     assert (result.exit_code, result.restarted, result.timed_out) == (exit_code, True, False)
     assert result.workdir.endswith("/sub")
-    assert (
-        result.note
-        == f"The shell has ended; a new one was started in {result.workdir}, without the variables of the old one."
-    )
+    assert result.note.startswith("The shell has ended")
     assert answer(shell, 'echo "${x-}"; basename "$PWD"') == ("\nsub\n", 0)
 
 
@@ -159,22 +140,14 @@ def test_run_starts_a_new_shell_when_a_job_has_killed_it(shell: Shell) -> None:
 
 
 @bash_only
-def test_run_follows_a_shell_into_another(shell: Shell) -> None:
-    """After ``exec bash`` the new shell takes commands, in a moment and not at the end of the time."""
+@pytest.mark.parametrize("command", ["exec bash", "exec sh", "exec env ENV= sh", "exec bash --norc"])
+def test_run_follows_a_shell_into_another(shell: Shell, command: str) -> None:
+    """One of another kind has none of the first one's functions, and may not read what bash does."""
     answer(shell, "export x=kept; cd /")
-    result = shell.run("exec bash", LONG)
-    assert (result.exit_code, result.timed_out, result.restarted) == (0, False, False)
-    assert answer(shell, "echo $x $PWD") == ("kept /\n", 0)
-
-
-@bash_only
-@pytest.mark.parametrize("command", ["exec sh", "exec env ENV= sh", "exec bash --norc"])
-def test_run_takes_the_next_command_in_a_shell_of_another_kind(shell: Shell, command: str) -> None:
-    """Which has none of the first one's functions, and may not read what bash does."""
-    shell.run(command, LONG)
+    assert not shell.run(command, LONG).timed_out
     for _ in range(2):
-        result = shell.run("echo 'a b'; false", LONG)
-        assert (result.output, result.exit_code, result.timed_out) == ("a b\n", 1, False)
+        result = shell.run("echo $x $PWD; false", LONG)
+        assert (result.output, result.exit_code, result.timed_out) == ("kept /\n", 1, False)
 
 
 @bash_only
@@ -218,20 +191,17 @@ def test_run_outlives_the_loss_of_devices(machine: Machine, shell: Shell) -> Non
 def test_run_takes_a_command_of_half_a_megabyte(shell: Shell) -> None:
     """A terminal cuts lines at 4096 bytes; a long command arrives to the letter all the same."""
     content = "é'\\ \x01\t$x`\n" * 40_000
-    command = f"cat > big <<'END'\n{content}END\nmd5sum < big"
     expected = hashlib.md5(content.encode()).hexdigest()
-    assert answer(shell, command) == (f"{expected}  -\n", 0)
+    assert answer(shell, f"cat > big <<'END'\n{content}END\nmd5sum < big") == (f"{expected}  -\n", 0)
 
 
 def test_run_cuts_output_in_the_middle(machine: Machine) -> None:
     """Of much output the beginning and the end are shown, and the program is not held up."""
     shell = Shell(machine, most_output=1000)
-    result = shell.run("i=0; seq 1 300000; echo last", LONG)
+    result = shell.run("seq 1 300000; echo last", LONG)
     shell.close()
-    assert result.exit_code == 0
     assert result.output.startswith("1\n2\n3\n")
     assert result.output.endswith("300000\nlast\n")
-    assert f"\n[… {result.dropped} characters left out …]\n" in result.output
     assert result.dropped > 1_900_000
     assert len(result.output) < 1100
 
@@ -241,12 +211,6 @@ def test_run_shows_what_a_job_wrote_meanwhile(shell: Shell) -> None:
     answer(shell, "(until test -e go; do sleep 0.02; done; echo from a job; touch said) &")
     commands = ["touch go", "until test -e said; do sleep 0.02; done", "true"]
     assert "from a job\n" in "".join(answer(shell, command)[0] for command in commands)
-
-
-def test_run_writes_no_history(shell: Shell) -> None:
-    """What is typed for the agent is in no history."""
-    answer(shell, "echo something >/dev/null")
-    assert "something" not in answer(shell, "fc -l -5 2>/dev/null; cat ~/.bash_history 2>/dev/null; true")[0]
 
 
 def test_run_raises_when_the_machine_is_gone(machine: Machine, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:

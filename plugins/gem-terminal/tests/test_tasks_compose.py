@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from task_writing import TERMINAL_BENCH, read_task, write
 
 from gem_terminal.errors import TaskError
-from gem_terminal.tasks.task import Container, Environment, Healthcheck
+from gem_terminal.tasks.task import Container, Healthcheck
+
+if TYPE_CHECKING:
+    from gem_terminal.tasks.task import Task
 
 
-def environment(tmp_path: Path, compose: str, **files: str) -> Environment:
+def compose(tmp_path: Path, text: str, variables: dict[str, str] | None = None, **files: str) -> Task:
     """Read a task with a Compose file, and more files."""
-    return read_task(write(tmp_path / "t", TERMINAL_BENCH, {"docker-compose.yaml": compose}, files)).environment
+    return read_task(write(tmp_path / "t", TERMINAL_BENCH, {"docker-compose.yaml": text}, files), variables)
 
 
-def notes(tmp_path: Path, compose: str, **files: str) -> tuple[str, ...]:
-    """Return the notes of such a task, without the file's name."""
-    task = read_task(write(tmp_path / "t", TERMINAL_BENCH, {"docker-compose.yaml": compose}, files))
-    return tuple(note.removeprefix("docker-compose.yaml: ") for note in task.notes)
-
-
-def client(tmp_path: Path, text: str, **files: str) -> Container:
+def client(tmp_path: Path, text: str, **files: str) -> Task:
     """Read a task whose agent's service says this, in YAML's flow style."""
-    return environment(tmp_path, f"services: {{client: {{build: ., {text}}}}}\n", **files).main
+    return compose(tmp_path, f"services: {{client: {{build: ., {text}}}}}\n", **files)
+
+
+def notes(task: Task) -> list[str]:
+    """Return the notes on a task's Compose file, without its name."""
+    return [note.removeprefix("docker-compose.yaml: ") for note in task.notes]
 
 
 EVERYTHING = """
@@ -56,9 +59,9 @@ volumes: {shared: }
 
 
 def test_every_part_arrives(tmp_path: Path) -> None:
-    """Build, words, variables to the letter, limits, healthcheck, volumes, merge keys."""
-    found = environment(tmp_path, EVERYTHING, **{"app/files/Dockerfile": "FROM x\n"})
-    assert found.main == Container(
+    """Build, words, variables to the letter, limits, healthcheck, volumes, merge keys; the rest is noted."""
+    task = compose(tmp_path, EVERYTHING, **{"app/files/Dockerfile": "FROM x\n"})
+    assert task.environment.main == Container(
         context=tmp_path / "t/app",
         dockerfile="files/Dockerfile",
         build_args={"ONE": "1", "TWO": "2"},
@@ -75,85 +78,66 @@ def test_every_part_arrives(tmp_path: Path) -> None:
         volumes={"shared": "/srv"},
         hostname="box",
     )
-    assert found.services == {
-        "web": Container(
-            image="web:1",
-            command=("run", "two words"),
-            healthcheck=Healthcheck(("true", "x"), 30.0, 30.0, 0.0, 3),
-            cpus=0.25,
-            memory_mb=293,
-            volumes={"shared": "/data"},
-        )
-    }
-    assert notes(tmp_path, EVERYTHING) == (
-        "the service 'client': 'C' would come from the host's environment, and is not set.",
-        "the service 'client': the volume at '/srv' can be written to.",
-        "the service 'web': the temporary file system '/run' is an ordinary folder.",
+    web = Container(
+        image="web:1",
+        command=("run", "two words"),
+        healthcheck=Healthcheck(("true", "x"), 30.0, 30.0, 0.0, 3),
+        cpus=0.25,
+        memory_mb=293,
+        volumes={"shared": "/data"},
     )
-    assert found.unsupported == ()
+    assert task.environment.services == {"web": web}
+    assert [note.split("'")[3] for note in notes(task)] == ["C", "/srv", "/run"]
+    assert task.environment.unsupported == ()
 
 
-@pytest.mark.parametrize(
-    ("written", "value"),
-    [
-        ("$TWO", "2"),
-        ("${TWO}x", "2x"),
-        ("${NONE:-a b}", "a b"),
-        ("${NONE-}", ""),
-        ("${EMPTY:-e}${EMPTY-no}", "e"),
-        ("${TWO:+set}${NONE:+set}", "set"),
-        ("${NONE:-${TWO:-3}}", "2"),
-        ("${TWO:-${NONE}}", "2"),
-        ("${TWO:?it is needed}", "2"),
-        ("$$TWO", "$TWO"),
-        ("${T_BENCH_TEST_DIR}", "/tests"),
-        ("${COMPOSE_PROJECT_NAME}", "gem-terminal-task"),
-    ],
-)
-def test_variables_have_their_values(tmp_path: Path, written: str, value: str) -> None:
+VALUES = {
+    "$TWO ${TWO}x": "2 2x",
+    "${NONE:-a b}${NONE-}": "a b",
+    "${EMPTY:-e}${EMPTY-no}": "e",
+    "${TWO:+set}${NONE:+set}": "set",
+    "${NONE:-${TWO:-3}}${TWO:-${NONE}}": "22",
+    "${TWO:?it is needed}": "2",
+    "$$TWO": "$TWO",
+    "${T_BENCH_TEST_DIR}": "/tests",
+    "${COMPOSE_PROJECT_NAME}": "gem-terminal-task",
+}
+
+
+@pytest.mark.parametrize("written", VALUES)
+def test_variables_have_their_values(tmp_path: Path, written: str) -> None:
     """Of the file ``.env`` beside, of the harness, or the default; else nothing."""
     files = {".env": "# a comment\nexport TWO=2 # two\nEMPTY=\n"}
-    assert client(tmp_path, f"environment: ['A={written}']", **files).env == {"A": value}
+    task = client(tmp_path, f"environment: ['A={written}']", **files)
+    assert task.environment.main.env == {"A": VALUES[written]}
 
 
 def test_a_variable_without_a_value_is_missing(tmp_path: Path) -> None:
     """Until it is given; those in a default that is not used are not."""
     text = "'a=${A}$B', 'c=${C:?it is needed}', 'd=${D:-${E}}', 'f=${F:-x${G}}', 'h=${H:+$I}', J"
-    folder = write(
-        tmp_path / "t",
-        TERMINAL_BENCH,
-        {"docker-compose.yaml": f"services: {{client: {{build: ., environment: ['X=$T_BENCH_TEST_DIR', {text}]}}}}\n"},
-    )
+    text = f"services: {{client: {{build: ., environment: ['X=$T_BENCH_TEST_DIR', {text}]}}}}\n"
     given = {"A": "1", "D": "2"}
-    task = read_task(folder, variables=given)
-    assert task.missing == {
-        "B": "docker-compose.yaml",
-        "C": "docker-compose.yaml (it is needed)",
-        "G": "docker-compose.yaml",
-    }
-    asked = {"A": None, "B": None, "C": None, "D": "", "E": None, "F": "x", "G": None, "H": None, "I": None, "J": None}
-    assert task.variables == asked
-    given |= {"B": "b", "C": "c", "G": "g", "H": "h", "I": "i", "J": "j"}
-    task = read_task(folder, variables=given)
-    assert task.missing == {}
-    assert task.environment.main.env["J"] == "j"
-    with pytest.raises(TaskError, match=r"expected one of them\. Variables without a value: IMAGE; give them with var"):
+    task = compose(tmp_path, text, given)
+    place = "docker-compose.yaml"
+    assert task.missing == {"B": place, "C": f"{place} (it is needed)", "G": place}
+    assert task.variables == dict.fromkeys("ABCEGHIJ") | {"D": "", "F": "x"}
+    task = compose(tmp_path, text, given | dict.fromkeys("BCGHIJ", "j"))
+    assert (task.missing, task.environment.main.env["J"]) == ({}, "j")
+    with pytest.raises(TaskError, match="without a value: IMAGE"):
         client(tmp_path, "x-y: 1}, other: {image: $IMAGE")
 
 
 def test_files_of_variables_are_read_in_order(tmp_path: Path) -> None:
     """Quotes, escapes and variables of their own; ``environment`` comes after them; a missing one may be allowed."""
-    files = {
-        "a.env": "A='$$X'\nB=\"one\\ntwo\"\nC=3\n",
-        "b.env": "\ufeffC=${T_BENCH_TEST_DIR}/c\nD=d # no\n",
-    }
+    files = {"a.env": "A='$$X'\nB=\"one\\ntwo\"\nC=3\n", "b.env": "\ufeffC=${T_BENCH_TEST_DIR}/c\nD=d # no\n"}
     text = "env_file: [a.env, {path: ./b.env}, {path: c.env, required: false}], environment: {D: 4}"
-    assert client(tmp_path, text, **files).env == {"A": "$X", "B": "one\ntwo", "C": "/tests/c", "D": "4"}
+    found = client(tmp_path, text, **files).environment.main.env
+    assert found == {"A": "$X", "B": "one\ntwo", "C": "/tests/c", "D": "4"}
 
 
 def test_services_start_after_those_they_depend_on(tmp_path: Path) -> None:
     """Else in the order of the file; the agent's container comes last."""
-    compose = """
+    text = """
 services:
   web: {image: w, depends_on: {cache: {condition: service_healthy}, db: {condition: service_started}}}
   client: {build: ., depends_on: [web]}
@@ -161,7 +145,7 @@ services:
   other: {image: o}
   cache: {image: c}
 """
-    assert list(environment(tmp_path, compose).services) == ["other", "cache", "db", "web"]
+    assert list(compose(tmp_path, text).environment.services) == ["other", "cache", "db", "web"]
 
 
 @pytest.mark.parametrize(
@@ -176,113 +160,86 @@ services:
 )
 def test_what_the_file_says_of_the_network_counts(tmp_path: Path, text: str, network: str | None) -> None:
     """None at all, the engine's own, only internal ones; else it says nothing."""
-    compose = f"services: {{client: {{build: ., {text}}}}}\nnetworks: {{inner: {{internal: true}}, outer: }}\n"
-    assert environment(tmp_path, compose).network == network
+    nets = "networks: {inner: {internal: true}, outer: }"
+    assert compose(tmp_path, f"services: {{client: {{build: ., {text}}}}}\n{nets}\n").environment.network == network
 
 
 def test_folders_of_logs_are_volumes_only_where_they_are_shared(tmp_path: Path) -> None:
     """The harness's own folders of the host are never mounted."""
-    logs = "'${T_BENCH_TASK_LOGS_PATH}:/logs'"
-    one = environment(tmp_path, f"services: {{client: {{build: ., volumes: [{logs}]}}}}\n")
-    assert (one.main.volumes, one.unsupported) == ({}, ())
-    two = f"services: {{client: {{build: ., volumes: [{logs}]}}, web: {{image: w, volumes: [{logs}]}}}}\n"
-    found = environment(tmp_path, two)
-    assert found.main.volumes == found.services["web"].volumes == {"logs": "/logs"}
+    logs = "volumes: ['${T_BENCH_TASK_LOGS_PATH}:/logs']"
+    alone = client(tmp_path, logs).environment
+    assert (alone.main.volumes, alone.unsupported) == ({}, ())
+    shared = compose(tmp_path, f"services: {{client: {{build: ., {logs}}}, web: {{image: w, {logs}}}}}\n").environment
+    assert shared.main.volumes == shared.services["web"].volumes == {"logs": "/logs"}
 
 
 REFUSED = {
-    **{
-        text: f"'{key}', which reaches out of its container"
-        for key, text in {
-            "privileged": "privileged: true",
-            "cap_add": "cap_add: [SYS_ADMIN]",
-            "devices": "devices: ['/dev/kvm:/dev/kvm']",
-            "pid": "pid: host",
-            "ipc": "ipc: host",
-            "userns_mode": "userns_mode: host",
-            "security_opt": "security_opt: ['seccomp:unconfined']",
-            "extra_hosts": "extra_hosts: ['host.docker.internal:host-gateway']",
-            "extends": "extends: {file: x.yaml, service: y}",
-            "secrets": "secrets: [key]",
-            "sysctls": "sysctls: {net.ipv4.ip_forward: 1}",
-            "deploy.resources.reservations.devices": "deploy: {resources: {reservations: {devices: [{driver: x}]}}}",
-        }.items()
-    },
-    "network_mode: host": "the network 'host' ('network_mode')",
-    "network_mode: 'service:db'": "the network 'service:db' ('network_mode')",
-    "volumes: ['/var/run/docker.sock:/var/run/docker.sock']": "'/var/run/docker.sock' of the host at "
-    "'/var/run/docker.sock' ('volumes'); COPY it instead",
-    "volumes: ['./data:/data:ro']": "'./data' of the host at '/data' ('volumes'); COPY it instead",
-    "volumes: [{type: bind, source: /, target: /host}]": "'/' of the host at '/host' ('volumes'); COPY it instead",
-    "volumes: ['/.gem-terminal/../etc:/etc']": "'/.gem-terminal/../etc' of the host at '/etc' ('volumes'); COPY it "
-    "instead",
-    "deploy: {replicas: 3}": "to run more than once ('deploy.replicas', 'scale')",
-    "networks: {default: {aliases: [a, b]}}": "more than one name on the network: a, b",
+    "privileged: true": "privileged",
+    "cap_add: [SYS_ADMIN]": "cap_add",
+    "devices: ['/dev/kvm:/dev/kvm']": "devices",
+    "pid: host": "pid",
+    "ipc: host": "ipc",
+    "userns_mode: host": "userns_mode",
+    "security_opt: ['seccomp:unconfined']": "security_opt",
+    "extra_hosts: ['host.docker.internal:host-gateway']": "extra_hosts",
+    "extends: {file: x.yaml, service: y}": "extends",
+    "secrets: [key]": "secrets",
+    "sysctls: {net.ipv4.ip_forward: 1}": "sysctls",
+    "deploy: {resources: {reservations: {devices: [{driver: x}]}}}": "deploy.resources.reservations.devices",
+    "network_mode: host": "network_mode",
+    "network_mode: 'service:db'": "service:db",
+    "volumes: ['/var/run/docker.sock:/var/run/docker.sock']": "/var/run/docker.sock",
+    "volumes: ['./data:/data:ro']": "./data",
+    "volumes: [{type: bind, source: /, target: /host}]": "/host",
+    "volumes: ['/.gem-terminal/../etc:/etc']": "/.gem-terminal/../etc",
+    "deploy: {replicas: 3}": "deploy.replicas",
+    "networks: {default: {aliases: [a, b]}}": "a, b",
 }
 
 
 @pytest.mark.parametrize("text", REFUSED)
 def test_what_reaches_for_the_host_is_never_granted(tmp_path: Path, text: str) -> None:
     """The task can be read, and says why it cannot be run."""
-    found = environment(tmp_path, f"services: {{client: {{build: ., {text}}}}}\n")
-    assert found.unsupported == (f"docker-compose.yaml: the service 'client' asks for {REFUSED[text]}",)
+    found = client(tmp_path, text).environment
+    (said,) = found.unsupported
+    assert said.startswith("docker-compose.yaml: the service 'client' asks for ")
+    assert REFUSED[text] in said
     assert found.main.volumes == {}
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "privileged: false",
-        "cap_add: [CAP_NET_BIND_SERVICE, chown]",
-        "security_opt: ['no-new-privileges:true']",
-        "devices: []",
-        "deploy: {resources: {reservations: {memory: 1g}}}",
-        "ipc: private",
-        "cap_drop: [ALL]",
-        "init: true",
-        "stdin_open: true",
-        "restart: always",
-        "container_name: '${T_BENCH_TASK_DOCKER_CLIENT_CONTAINER_NAME}'",
-        "x-mine: 1",
-    ],
-)
-def test_what_takes_nothing_from_the_host_is_no_matter(tmp_path: Path, text: str) -> None:
+def test_what_takes_nothing_from_the_host_is_no_matter(tmp_path: Path) -> None:
     """Such keys say what is so anyway."""
-    compose = f"services: {{client: {{build: ., {text}}}}}\n"
-    assert (environment(tmp_path, compose).unsupported, notes(tmp_path, compose)) == ((), ())
+    name = "container_name: '${T_BENCH_TASK_DOCKER_CLIENT_CONTAINER_NAME}'"
+    task = client(
+        tmp_path,
+        "privileged: false, cap_add: [CAP_NET_BIND_SERVICE, chown], security_opt: ['no-new-privileges:true'], "
+        "devices: [], deploy: {resources: {reservations: {memory: 1g}}}, ipc: private, cap_drop: [ALL], init: true, "
+        f"stdin_open: true, restart: always, {name}, x-mine: 1",
+    )
+    assert (task.environment.unsupported, task.notes) == ((), ())
 
 
 def test_volumes_and_networks_of_the_host_are_refused(tmp_path: Path) -> None:
     """A volume with a driver's options may be any folder of the host."""
-    compose = """
+    text = """
 services: {client: {build: ., volumes: ['a:/a', 'b:/b'], networks: [n]}}
 volumes: {a: {external: true}, b: {driver_opts: {type: none, device: /etc, o: bind}}, unused: {external: true}}
 networks: {n: {external: true}}
 include: [other.yaml]
 """
-    assert sorted(environment(tmp_path, compose).unsupported) == [
-        "docker-compose.yaml: the network 'n' is one of the host's ('external')",
-        "docker-compose.yaml: the volume 'a' is one of the host's ('external', 'driver_opts')",
-        "docker-compose.yaml: the volume 'b' is one of the host's ('external', 'driver_opts')",
-        "docker-compose.yaml: to include another Compose file ('include')",
-    ]
+    found = sorted(compose(tmp_path, text).environment.unsupported)
+    assert [said.split("'")[1] for said in found] == ["n", "a", "b", "include"]
 
 
 def test_what_is_passed_over_is_noted(tmp_path: Path) -> None:
     """Each with its service."""
-    compose = """
+    text = """
 services:
   client: {build: ., ports: ['80:80'], environment: [HOME_OF_HOST], volumes: [/cache], networks: [a]}
   web: {image: w, ulimits: {nproc: 5}, depends_on: [client], networks: [b]}
   tool: {image: t, profiles: [debug]}
 networks: {a: , b: }
 """
-    assert notes(tmp_path, compose) == (
-        "the service 'tool': has a profile, and is not started.",
-        "its networks are made one, in which all services see each other.",
-        "the service 'web': depends on 'client', and is started before it all the same.",
-        "the service 'client': 'ports' has no effect.",
-        "the service 'client': 'HOME_OF_HOST' would come from the host's environment, and is not set.",
-        "the service 'client': the volume without a name at '/cache' is an ordinary folder.",
-        "the service 'web': 'ulimits' has no effect.",
-    )
+    noted = "".join(notes(compose(tmp_path, text)))
+    named = ("'tool'", "networks", "'client', and is", "'ports'", "'HOME_OF_HOST'", "'/cache'", "'ulimits'")
+    assert [words for words in named if words not in noted] == []

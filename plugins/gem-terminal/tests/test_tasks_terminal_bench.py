@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,13 +12,11 @@ from gem_terminal.tasks.task import Container, Environment, Solution, Step, Veri
 COMPOSE = """
 services:
   client:
-    build:
-      dockerfile: Dockerfile
+    build: {dockerfile: Dockerfile}
     image: ${T_BENCH_TASK_DOCKER_CLIENT_IMAGE_NAME}
     container_name: ${T_BENCH_TASK_DOCKER_CLIENT_CONTAINER_NAME}
     command: [ "sh", "-c", "sleep infinity" ]
-    environment:
-      - TEST_DIR=${T_BENCH_TEST_DIR}
+    environment: [ "TEST_DIR=${T_BENCH_TEST_DIR}" ]
     volumes:
       - ${T_BENCH_TASK_LOGS_PATH}:${T_BENCH_CONTAINER_LOGS_PATH}
       - ${T_BENCH_TASK_AGENT_LOGS_PATH}:${T_BENCH_CONTAINER_AGENT_LOGS_PATH}
@@ -32,7 +28,6 @@ FULL = """
 instruction: |-
   Write 5 to /app/five.txt.
 author_name: Ada
-author_email: unknown
 difficulty: hard
 category: file-operations
 tags: [files, 7]
@@ -47,46 +42,32 @@ made: 2025-01-31
 
 def test_every_field_arrives(tmp_path: Path) -> None:
     """Instruction, limits, parser, tests, solution and what the task says of itself."""
-    folder = write(
-        tmp_path / "five",
-        TERMINAL_BENCH,
-        {
-            "task.yaml": FULL,
-            "docker-compose.yaml": COMPOSE,
-            "solution.sh": "echo -n 5 > /app/five.txt\n",
-            "test_weights.json": '{"test_five": 2, "test_other": 0.5, "wrong": "Hello", "below": -1}',
-        },
-    )
+    files = {
+        "task.yaml": FULL,
+        "docker-compose.yaml": COMPOSE,
+        "solution.sh": "echo -n 5 > /app/five.txt\n",
+        "test_weights.json": '{"test_five": 2, "test_other": 0.5, "wrong": "Hello", "below": -1}',
+    }
+    folder = write(tmp_path / "five", TERMINAL_BENCH, files)
     task = read_task(folder)
-    assert task.steps == (
-        Step(
-            name="",
-            instruction="Write 5 to /app/five.txt.",
-            agent_timeout_s=900.0,
-            verifier=Verifier(
-                files={"/tests": folder / "tests", "/tests/run-tests.sh": folder / "run-tests.sh"},
-                command=("bash", "/tests/run-tests.sh"),
-                timeout_s=180.5,
-                result="output",
-                parser="swebench",
-                env={"TEST_DIR": "/tests"},
-                same_shell=True,
-                weights={"test_five": 2.0, "test_other": 0.5},
-            ),
-            solution=Solution(
-                files={"/oracle/solution.sh": folder / "solution.sh"}, command=("bash", "/oracle/solution.sh")
-            ),
-        ),
+    verifier = Verifier(
+        files={"/tests": folder / "tests", "/tests/run-tests.sh": folder / "run-tests.sh"},
+        command=("bash", "/tests/run-tests.sh"),
+        timeout_s=180.5,
+        result="output",
+        parser="swebench",
+        env={"TEST_DIR": "/tests"},
+        same_shell=True,
+        weights={"test_five": 2.0, "test_other": 0.5},
     )
+    solution = Solution({"/oracle/solution.sh": folder / "solution.sh"}, ("bash", "/oracle/solution.sh"))
+    step = Step("", "Write 5 to /app/five.txt.", verifier, agent_timeout_s=900.0, solution=solution)
+    assert task.steps == (step,)
     assert list(task.steps[0].verifier.files) == ["/tests", "/tests/run-tests.sh"], "a folder replaces all in it"
     assert task.environment == Environment(main=Container(context=folder, env={"TEST_DIR": "/tests"}))
     assert (task.name, task.folder, task.format) == ("five", folder, "terminal-bench")
     assert (task.difficulty, task.category, task.tags) == ("hard", "file-operations", ("files", "7"))
-    assert task.notes == (
-        "task.yaml: 'made' is not known and has no effect.",
-        "test_weights.json: the weight of 'wrong' is 'Hello' and has no effect.",
-        "test_weights.json: the weight of 'below' is -1 and has no effect.",
-    )
+    assert [note.split("'")[1] for note in task.notes] == ["made", "wrong", "below"]
 
 
 def test_defaults_are_the_formats(tmp_path: Path) -> None:
@@ -95,17 +76,22 @@ def test_defaults_are_the_formats(tmp_path: Path) -> None:
     task = read_task(write(tmp_path / "t", TERMINAL_BENCH, {"task.yaml": yaml}))
     (step,) = task.steps
     assert (step.agent_timeout_s, step.verifier.timeout_s, step.verifier.parser) == (360.0, 60.0, "pytest")
-    assert not step.verifier.same_shell
-    assert step.solution is None
+    assert (step.verifier.same_shell, step.solution) == (False, None)
     assert task.environment.main == Container(context=tmp_path / "t", env={"TEST_DIR": "/tests"})
     assert (task.environment.network, task.notes, task.tags) == (None, (), ())
 
 
-def test_the_oldest_form_of_instructions_is_read(tmp_path: Path) -> None:
-    """The description named ``base`` of several."""
-    yaml = "descriptions:\n- {key: hard, description: Think.}\n- {key: base, description: Do.}\n"
+@pytest.mark.parametrize(
+    ("yaml", "instruction"),
+    [
+        (b"descriptions:\n- {key: hard, description: Think.}\n- {key: base, description: Do.}\n", "Do."),
+        (b"\xef\xbb\xbfinstruction: |-\r\n  One.\r\n  Two.\r\n", "One.\nTwo."),
+    ],
+    ids=["the oldest form", "line ends of Windows"],
+)
+def test_instructions_of_other_forms(tmp_path: Path, yaml: bytes, instruction: str) -> None:
     task = read_task(write(tmp_path / "t", TERMINAL_BENCH, {"task.yaml": yaml}))
-    assert task.steps[0].instruction == "Do."
+    assert task.steps[0].instruction == instruction
 
 
 def test_typed_solutions_keep_their_limits(tmp_path: Path) -> None:
@@ -115,61 +101,20 @@ def test_typed_solutions_keep_their_limits(tmp_path: Path) -> None:
     assert read_task(folder).steps[0].solution == Solution(typed=(("cd /app", 5.0), ("make", 200.0)))
 
 
-def test_keys_without_enter_are_noted(tmp_path: Path) -> None:
-    """They cannot be told by lines, so the task has no solution."""
-    typed = "- command: vim x\n- command: Escape\n  append_enter: false\n"
-    task = read_task(write(tmp_path / "t", TERMINAL_BENCH, {"solution.yaml": typed}))
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("solution.yaml", "- command: vim x\n- command: Escape\n  append_enter: false\n"),
+        ("Dockerfile", "FROM x\nCOPY . /app\n"),
+        ("Dockerfile", "FROM x\n  add --chown=1 ./ /app\n"),
+        ("run-tests.sh", "#!/bin/bash\r\ntrue\r\n"),
+        ("docker-compose.yaml", "services: {agent: {build: ., user: worker}}\n"),
+    ],
+    ids=["keys without Enter", "the tests in the image", "added", "line ends of Windows", "another service's name"],
+)
+def test_what_is_passed_over_or_doubtful_is_noted(tmp_path: Path, file: str, text: str) -> None:
+    """Keys cannot be told by lines, an agent can read what its image has; a single service is the agent's."""
+    task = read_task(write(tmp_path / "t", TERMINAL_BENCH, {file: text}))
+    assert [note.partition(":")[0] for note in task.notes] == [file]
     assert task.steps[0].solution is None
-    assert task.notes == ("solution.yaml: types keys without Enter ('append_enter'), and is passed over.",)
-
-
-@pytest.mark.parametrize("line", ["COPY . /app", "  add --chown=1 ./ /app", "COPY * /app/"])
-def test_an_image_with_the_tests_in_it_is_noted(tmp_path: Path, line: str) -> None:
-    """The context of a build is the whole folder."""
-    task = read_task(write(tmp_path / "t", TERMINAL_BENCH, {"Dockerfile": f"FROM x\n{line}\n"}))
-    assert task.notes == ("Dockerfile: copies the whole folder: the agent can see its tests and its solution.",)
-
-
-def test_windows_line_ends_and_a_byte_order_mark_are_read(tmp_path: Path) -> None:
-    """The instruction has none of them; a script that has them is noted."""
-    files = {
-        "task.yaml": b"\xef\xbb\xbfinstruction: |-\r\n  One.\r\n  Two.\r\n",
-        "run-tests.sh": b"#!/bin/bash\r\ntrue\r\n",
-    }
-    task = read_task(write(tmp_path / "t", TERMINAL_BENCH, files))
-    assert task.steps[0].instruction == "One.\nTwo."
-    assert task.notes == ("run-tests.sh: has the line ends of Windows, which a shell stumbles over.",)
-
-
-def test_a_single_service_is_the_agents_whatever_its_name(tmp_path: Path) -> None:
-    """With a note: the format calls it ``client``."""
-    files = {"docker-compose.yaml": "services: {agent: {build: ., user: worker}}\n"}
-    task = read_task(write(tmp_path / "t", TERMINAL_BENCH, files))
-    assert (task.environment.main.user, task.environment.services) == ("worker", {})
-    assert task.notes == (
-        "docker-compose.yaml: the service 'agent': is taken for the one that the agent works in, as it is the only "
-        "one.",
-    )
-
-
-@pytest.mark.parametrize("without", ["", "sys.modules['yaml._yaml'] = None; "], ids=["libyaml", "python"])
-def test_yaml_is_read_with_and_without_libyaml(tmp_path: Path, without: str) -> None:
-    """PyYAML may have been built without it; limits hold either way."""
-    good = write(tmp_path / "good", TERMINAL_BENCH, {"docker-compose.yaml": COMPOSE})
-    bad = write(tmp_path / "bad", TERMINAL_BENCH, {"task.yaml": "a: " + "[" * 100})
-    code = f"""import sys; {without}
-from gem_terminal.errors import TaskError
-from gem_terminal.tasks.folders import find_tasks
-from gem_terminal.tasks.parsing import Loader
-print(Loader.__base__.__name__, find_tasks([{str(good)!r}]).tasks[0].environment.main.env["TEST_DIR"])
-try:
-    find_tasks([{str(bad)!r}])
-except TaskError as error:
-    print(error)
-"""
-    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=60)
-    name = "SafeLoader" if without else "CSafeLoader"
-    assert (done.stdout, done.stderr) == (
-        f"{name} /tests\n{bad}/task.yaml: is nested too deeply; expected 40 levels at most.\n",
-        "",
-    )
+    assert task.environment.services == {}

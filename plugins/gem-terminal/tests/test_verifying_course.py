@@ -1,4 +1,4 @@
-"""The course of a verification, on machines of a few dictionaries; ``test_verifying_attacks.py`` has the real ones."""
+"""The course of a verification, on machines of a few dictionaries; ``test_verifying_real.py`` has the real ones."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from verifying_toys import DONE, ToyBackend, ToyMachine, as_backend, as_machine, task, verifier
+from verifying_toys import ToyBackend, ToyMachine, task
 
 from gem_terminal.backends.interface import Completed, Limits
 from gem_terminal.errors import EngineError, MachineLostError, TaskError
@@ -32,24 +32,23 @@ def writes(**files: bytes) -> Any:
 
 SOLVED = writes(reward_txt=b"1")
 NOTHING = writes()
+PREPARED = {"setup": ("prepare", "it")}
 
 
 def judged(
     tmp_path: Path,
     tests: Any,
-    untouched: Any = SOLVED,
     *,
-    machine: ToyMachine | None = None,
-    backend: ToyBackend | None = None,
-    limits: Limits = Limits(),  # noqa: B008 - immutable
+    machine: Any = None,
+    backend: Any = None,
+    limits: Any = Limits(),  # noqa: B008 - immutable
     how: dict[str, Any] | None = None,
-    setup: tuple[str, ...] = (),
     **said: Any,
 ) -> Verdict:
     """Verify the step of a task of its own."""
-    made = task(tmp_path, verifier(tmp_path, **said), setup=setup)
-    at, judges = as_machine(machine or ToyMachine(tests)), as_backend(backend or ToyBackend(untouched))
-    return verify(at, made, made.steps[0], backend=judges, limits=limits, **(how or {}))
+    made = task(tmp_path, **said)
+    backend, machine = backend or ToyBackend(SOLVED), machine or ToyMachine(tests)
+    return verify(machine, made, made.steps[0], backend=backend, limits=limits, **(how or {}))
 
 
 JUDGE = {"where": "judge", "artifacts": ("/app",)}
@@ -59,9 +58,7 @@ def test_tests_run_in_the_agents_machine_as_the_task_says(tmp_path: Path) -> Non
     machine = ToyMachine(SOLVED)
     verdict = judged(tmp_path, None, machine=machine, env={"A": "b"}, user="tester")
     assert (verdict.passed, verdict.score, verdict.problem, verdict.blame) == (True, 1.0, None, None)
-    assert verdict.output == "ran"
-    assert verdict.info["where"] == "machine"
-    assert machine.log == ["agent: tests"]
+    assert (verdict.output, verdict.info["where"], machine.log) == ("ran", "machine", ["agent: tests"])
     assert (machine.said["env"], machine.said["user"], machine.said["timeout_s"]) == ({"A": "b"}, "tester", 5.0)
 
 
@@ -74,23 +71,28 @@ def test_judge_gets_what_the_task_declares_or_else_the_artifacts(
     """In a fresh machine that was made ready for the step, nothing else of the agent's; it is removed afterwards."""
     machine, backend = ToyMachine(NOTHING), ToyBackend(SOLVED)
     machine.files = {"/app/out/a": b"1", "/app/one.txt": b"2", "/etc/one": b"3", "/logs/verifier/reward.json": b"1"}
-    verdict = judged(
-        tmp_path, None, machine=machine, backend=backend, setup=("prepare", "it"), artifacts=declared, how=JUDGE
-    )
+    verdict = judged(tmp_path, None, machine=machine, backend=backend, step=PREPARED, artifacts=declared, how=JUDGE)
     assert (verdict.passed, verdict.info["where"]) == (True, "judge")
     assert {path for path in backend.started[0].files if not path.startswith(("/tests", "/logs"))} == carried
     assert backend.log == ["start", *(f"fresh: {what}" for what in ("pwd", "prepare", "tests", "gone"))]
-    assert not machine.removed
+    assert "agent: gone" not in machine.log
 
 
 @pytest.mark.parametrize("where", ["machine", "judge"])
 def test_environment_of_its_own_gets_what_the_task_declares_and_nothing_else(tmp_path: Path, where: str) -> None:
-    """In both modes."""
-    machine, backend, own = ToyMachine(NOTHING), ToyBackend(SOLVED), Environment(Container())
-    machine.files = {"/app/out/a": b"1", "/app/secret": b"2", "/app/one.txt": b"3"}
-    said = {"environment": own, "artifacts": ("/app/out/", "/app/one.txt", "/app/none")}
-    verdict = judged(tmp_path, None, machine=machine, backend=backend, how={**JUDGE, "where": where}, **said)
+    """In both modes; what only runs is noted in files before, and a command that fails is told of."""
+
+    def dumps(machine: ToyMachine) -> Completed:
+        machine.files["/app/out/a"] = b"state"
+        return Completed(3, b"")
+
+    machine, backend, own = ToyMachine(dumps), ToyBackend(SOLVED), Environment(Container())
+    machine.files = {"/app/secret": b"2", "/app/one.txt": b"3"}
+    said: dict[str, Any] = {"environment": own, "artifacts": ("/app/out/", "/app/one.txt", "/app/none")}
+    said |= {"collect": (Collect(("dump",)),), "how": {**JUDGE, "where": where}}
+    verdict = judged(tmp_path, None, machine=machine, backend=backend, **said)
     assert (verdict.passed, verdict.info["where"]) == (True, "separate")
+    assert verdict.info["collected"] == [{"command": "dump", "exit_code": 3}]
     assert backend.environments == [own]
     assert {path for path in backend.started[0].files if path.startswith("/app")} == {"/app/out/a", "/app/one.txt"}
 
@@ -107,28 +109,57 @@ def test_network_of_its_own_is_that_of_a_judge(tmp_path: Path, asked: str, overr
     assert [given and given.network for given in backend.environments] == ["public"] * (where == "judge")
 
 
-def test_what_is_too_large_for_a_judge_is_the_agents_fault(tmp_path: Path) -> None:
-    machine = ToyMachine(NOTHING)
-    machine.files = {"/app/big": b"x" * 3_000_000}
-    verdict = judged(tmp_path, None, machine=machine, limits=Limits(storage_mb=1), how=JUDGE)
-    assert (verdict.passed, verdict.problem, verdict.blame) == (False, "machine", "agent")
+def hang(machine: ToyMachine) -> Completed:
+    """Write the reward, and run out of time."""
+    machine.files["/logs/verifier/reward.txt"] = b"1"
+    return Completed(None, b"still at it")
 
 
-def test_result_of_before_the_tests_counts_for_nothing(tmp_path: Path) -> None:
-    machine = ToyMachine(NOTHING)
-    machine.files = {"/logs/verifier/reward.json": b'{"reward": 1}', "/tests/test.sh": b"echo forged"}
-    verdict = judged(tmp_path, None, machine=machine)
-    assert (verdict.passed, verdict.problem, verdict.blame) == (False, "no_result", "agent")
-    assert machine.files["/tests/test.sh"] == b"echo 1 > /logs/verifier/reward.txt\n"
+def lose(by_agent: bool | None) -> Any:
+    """Lose the machine while the tests run."""
+
+    def tests(machine: ToyMachine) -> Completed:
+        machine.lost = MachineLostError("its memory was full", by_agent=by_agent)
+        raise MachineLostError("the machine is gone")
+
+    return tests
 
 
-def test_tests_that_run_out_of_time_do_not_pass_whatever_they_wrote(tmp_path: Path) -> None:
-    def hang(machine: ToyMachine) -> Completed:
-        machine.files["/logs/verifier/reward.txt"] = b"1"
-        return Completed(None, b"still at it")
+@pytest.mark.parametrize(
+    ("tests", "options", "problem", "blame"),
+    [
+        (NOTHING, {}, "no_result", "agent"),
+        (NOTHING, {"backend": ToyBackend(NOTHING)}, "no_result", "task"),
+        (NOTHING, {"how": {"control": False}}, "no_result", None),
+        (NOTHING, {"how": JUDGE, "limits": Limits(storage_mb=1)}, "machine", "agent"),
+        (hang, {}, "timeout", "agent"),
+        (writes(reward_txt=b"full marks"), {}, "unreadable", "agent"),
+        (lose(True), {}, "machine", "agent"),
+        (lose(False), {}, "machine", None),
+        (lose(None), {}, "machine", None),
+    ],
+)
+def test_tests_without_a_verdict_are_blamed_on_whom_that_is_known_of(
+    tmp_path: Path, tests: Any, options: Any, problem: str, blame: str | None
+) -> None:
+    """By a trial on an untouched machine; what the agent wrote before the tests counts for nothing."""
+    machine = ToyMachine(tests)
+    forged = {"/logs/verifier/reward.json": b'{"reward": 1}', "/tests/test.sh": b"echo forged"}
+    machine.files = {"/app/big": b"x" * 3_000_000} | ({} if tests is hang else forged)
+    verdict = judged(tmp_path, None, machine=machine, **options)
+    assert (verdict.passed, verdict.problem, verdict.blame) == (False, problem, blame)
+    if "how" not in options:
+        assert machine.files["/tests/test.sh"] == b"echo 1 > /logs/verifier/reward.txt\n"
 
-    verdict = judged(tmp_path, hang)
-    assert (verdict.passed, verdict.problem, verdict.blame) == (False, "timeout", "agent")
+
+def test_trial_on_an_untouched_machine_is_made_once_for_a_version_of_a_task(tmp_path: Path) -> None:
+    """By one of several threads, on a machine that is made ready for the step."""
+    backend = ToyBackend(SOLVED)
+    with ThreadPoolExecutor(4) as pool:
+        one = partial(judged, tmp_path, NOTHING, backend=backend, step=PREPARED)
+        verdicts = list(pool.map(lambda _: one(), range(8)))
+    assert {verdict.blame for verdict in verdicts} == {"agent"}
+    assert backend.log == ["start", "fresh: pwd", "fresh: prepare", "fresh: tests", "fresh: gone"]
 
 
 @pytest.mark.parametrize(
@@ -143,55 +174,21 @@ def test_tests_that_run_out_of_time_do_not_pass_whatever_they_wrote(tmp_path: Pa
 def test_score_is_the_reward_or_the_only_number_or_the_mean(
     tmp_path: Path, rewards: bytes, score: float, passed: bool
 ) -> None:
-    verdict = judged(tmp_path, writes(reward_json=rewards, reward_txt=b"1"))
+    """A large log beside it does not hide it."""
+    verdict = judged(tmp_path, writes(reward_json=rewards, reward_txt=b"1", log=b"x" * 11_000_000))
     assert (verdict.score, verdict.passed) == (score, passed)
 
 
-def test_unreadable_result_is_a_problem_in_words(tmp_path: Path) -> None:
-    verdict = judged(tmp_path, writes(reward_txt=b"full marks"))
-    assert verdict.problem == "unreadable"
-    assert "'full marks'" in verdict.detail
-
-
-def test_task_is_to_blame_when_an_untouched_machine_gives_no_verdict_either(tmp_path: Path) -> None:
-    verdict = judged(tmp_path, NOTHING, NOTHING)
-    assert (verdict.blame, verdict.info["control"]) == ("task", "no_result")
-
-
-def test_trial_on_an_untouched_machine_is_made_once_for_a_version_of_a_task(tmp_path: Path) -> None:
-    """By one of several threads, on a machine that is made ready for the step."""
-    backend = ToyBackend(SOLVED)
-    with ThreadPoolExecutor(4) as pool:
-        one = partial(judged, tmp_path, NOTHING, backend=backend, setup=("prepare", "it"))
-        verdicts = list(pool.map(lambda _: one(), range(8)))
-    assert {verdict.blame for verdict in verdicts} == {"agent"}
-    assert backend.log == ["start", "fresh: pwd", "fresh: prepare", "fresh: tests", "fresh: gone"]
-
-
-def test_nobody_is_blamed_without_a_trial(tmp_path: Path) -> None:
-    verdict = judged(tmp_path, NOTHING, how={"control": False})
-    assert (verdict.problem, verdict.blame) == ("no_result", None)
-
-
-@pytest.mark.parametrize(("by_agent", "blame"), [(True, "agent"), (False, None), (None, None)])
-def test_lost_machine_is_the_agents_fault_only_where_that_is_known(
-    tmp_path: Path, by_agent: bool | None, blame: str | None
-) -> None:
-    def lose(machine: ToyMachine) -> Completed:
-        machine.lost = MachineLostError("its memory was full", by_agent=by_agent)
-        raise MachineLostError("the machine is gone")
-
-    verdict = judged(tmp_path, lose)
-    assert (verdict.passed, verdict.problem, verdict.blame) == (False, "machine", blame)
-    assert verdict.detail == "its memory was full"
-
-
-def test_failing_engine_is_an_error_and_no_verdict(tmp_path: Path) -> None:
+def test_failing_engine_or_an_unknown_parser_is_an_error_and_no_verdict(tmp_path: Path) -> None:
     def fail(_: ToyMachine) -> Completed:
         raise EngineError("the engine does not answer")
 
     with pytest.raises(EngineError):
         judged(tmp_path, fail)
+    machine = ToyMachine(SOLVED)
+    with pytest.raises(TaskError, match="'nose'"):
+        judged(tmp_path, None, machine=machine, result="output", parser="nose")
+    assert not machine.log
 
 
 def test_report_names_the_tests_beside_the_reward(tmp_path: Path) -> None:
@@ -200,25 +197,15 @@ def test_report_names_the_tests_beside_the_reward(tmp_path: Path) -> None:
     assert [(test.name, test.passed, test.weight) for test in verdict.tests] == [("a", True, 3.0), ("b", False, 0.0)]
 
 
-def test_large_log_beside_the_reward_does_not_hide_it(tmp_path: Path) -> None:
-    assert judged(tmp_path, writes(log=b"x" * 11_000_000, reward_txt=b"0.5")).score == 0.5
-
-
 def test_output_is_read_with_the_parser_of_the_task_and_its_exit_code_does_not_matter(tmp_path: Path) -> None:
-    def tests(_: ToyMachine) -> Completed:
-        return Completed(1, b"== short test summary info ==\nPASSED a::b\nFAILED a::c - no\n== 1 failed ==\n")
-
-    verdict = judged(tmp_path, tests, result="output")
+    """What is kept of it is cut in the middle."""
+    said = b"\n== short test summary info ==\nPASSED a::b\nFAILED a::c - no\n== 1 failed ==\n"
+    verdict = judged(tmp_path, lambda _: Completed(1, b"a" * 30_000 + said, dropped=5), result="output")
     assert [(test.name, test.passed) for test in verdict.tests] == [("b", True), ("c", False)]
-    assert (verdict.passed, verdict.score, verdict.problem) == (False, 0.0, None)
-    assert verdict.info["exit_code"] == 1
-
-
-def test_unknown_parser_is_an_error_before_anything_is_done(tmp_path: Path) -> None:
-    machine = ToyMachine(SOLVED)
-    with pytest.raises(TaskError, match="no parser is called 'nose'"):
-        judged(tmp_path, None, machine=machine, result="output", parser="nose")
-    assert not machine.log
+    assert (verdict.passed, verdict.score, verdict.problem, verdict.info["exit_code"]) == (False, 0.0, None, 1)
+    left_out = f"{10_005 + len(said):,}"
+    kept = "a" * (10_000 - len(said)) + said.decode()
+    assert verdict.output == "a" * 10_000 + f"\n... {left_out} characters left out ...\n" + kept
 
 
 @pytest.mark.parametrize(
@@ -233,54 +220,29 @@ def test_agents_own_shell_runs_the_tests_of_a_task_that_asks_for_it(
 
     def in_shell(command: Any, seconds: float) -> Completed:
         asked.append((tuple(command), seconds))
-        return SOLVED(machine)  # type: ignore[no-any-return]
+        return SOLVED(machine)
 
-    how = {"same_shell": in_shell, "where": where}
-    verdict = judged(tmp_path, None, machine=machine, how=how, same_shell=asks)
+    verdict = judged(tmp_path, None, machine=machine, how={"same_shell": in_shell, "where": where}, same_shell=asks)
     assert (verdict.passed, verdict.info["where"]) == (True, expected)
     assert asked == [(("bash", "/tests/test.sh"), 5.0)] * (expected == "shell")
 
 
 def test_tests_are_taken_away_when_the_agent_goes_on_to_a_next_step(tmp_path: Path) -> None:
-    made = task(tmp_path, verifier(tmp_path), steps=2)
-    machine = ToyMachine(SOLVED)
+    made, machine, backend = task(tmp_path, steps=2), ToyMachine(SOLVED), ToyBackend(SOLVED)
     for step, expected in zip(made.steps, (False, True), strict=True):
-        verify(as_machine(machine), made, step, backend=as_backend(ToyBackend(SOLVED)), limits=Limits())
+        verify(machine, made, step, backend=backend, limits=Limits())
         assert any(path.startswith("/tests") for path in machine.files) is expected
-
-
-def test_long_output_is_cut_in_the_middle(tmp_path: Path) -> None:
-    verdict = judged(tmp_path, lambda _: Completed(0, b"a" * 30_000 + b"b" * 30_000, dropped=5))
-    assert verdict.output == "a" * 10_000 + "\n... 40,005 characters left out ...\n" + "b" * 10_000
 
 
 def test_solution_runs_as_a_command_or_line_by_line_and_leaves_no_file(tmp_path: Path) -> None:
     (tmp_path / "solve.sh").write_text("true\n")
     machine = ToyMachine(lambda toy: Completed(0, b"".join(sorted(toy.files.values()))))
-    files = {"/solution/solve.sh": tmp_path / "solve.sh"}
-    by_file = task(tmp_path, verifier(tmp_path), solution=Solution(files, ("bash", "/solution/solve.sh")))
-    assert solve(as_machine(machine), by_file.steps[0]).output == b"true\n"
+    by_file = Solution({"/solution/solve.sh": tmp_path / "solve.sh"}, ("bash", "/solution/solve.sh"))
+    assert solve(machine, task(tmp_path, step={"solution": by_file}).steps[0]).output == b"true\n"
     assert not machine.files
-    typed = task(tmp_path, verifier(tmp_path), solution=Solution(typed=(("cd /tmp", 1.0), ("echo 'a b'", 2.0))))
-    solve(as_machine(machine), typed.steps[0])
+    typed = Solution(typed=(("cd /tmp", 1.0), ("echo 'a b'", 2.0)))
+    solve(machine, task(tmp_path, step={"solution": typed}).steps[0])
     lines = ("bash", "-c", "eval 'cd /tmp'\neval 'echo '\"'\"'a b'\"'\"''")
     assert machine.commands[-1][-3:] == lines
-    with pytest.raises(TaskError, match="has no reference solution"):
-        solve(as_machine(machine), task(tmp_path, verifier(tmp_path)).steps[0])
-
-
-def test_what_only_runs_is_noted_in_files_before_artifacts_are_carried(tmp_path: Path) -> None:
-    """A command that fails is told of; the tests judge what is there."""
-
-    def dumps(machine: ToyMachine) -> Completed:
-        machine.files["/out/dump"] = b"state"
-        return Completed(3, b"")
-
-    def looks(machine: ToyMachine) -> Completed:
-        machine.files["/logs/verifier/reward.txt"] = b"1" if machine.files.get("/out/dump") == b"state" else b"0"
-        return DONE
-
-    said = {"environment": Environment(Container()), "artifacts": ("/out",), "collect": (Collect(("dump",)),)}
-    verdict = judged(tmp_path, dumps, looks, **said)
-    assert verdict.passed
-    assert verdict.info["collected"] == [{"command": "dump", "exit_code": 3}]
+    with pytest.raises(TaskError, match="no reference solution"):
+        solve(machine, task(tmp_path).steps[0])

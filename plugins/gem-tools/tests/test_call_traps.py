@@ -250,7 +250,6 @@ def test_every_row_of_the_table_is_tried() -> None:
         ("<tool_call><tool_name>python</tool_name>1</tool_call>", "no valid JSON"),
         ("<|begin_search_query|>", "stands no <|end_search_query|>"),
         ('{"name": "plan-trip", "arguments": "Oslo"}', "its arguments are no valid JSON: Expecting value"),
-        ("<search>rhino <answer>42</answer>", "<search> is never closed by </search>"),
     ],
 )
 def test_what_looks_like_a_call_and_cannot_be_read_is_told(text: str, told: str) -> None:

@@ -227,3 +227,47 @@ def test_images_are_refused() -> None:
     picture = [{"type": "text", "text": "Look: "}, {"type": "image", "image": None}]
     with pytest.raises(ArgumentError, match="holds an image"):
         played(TalkEnv(begin=picture), Engine(), chat_tokenizer())
+
+
+class Look(gem.Tool):
+    """Looks."""
+
+    name = "look"
+    description = "Looks somewhere."
+    concurrency = "inline"
+
+    class Parameters(gem.Tool.Parameters):
+        """Where."""
+
+        where: str
+
+    def call(self, arguments: Any, session: Any) -> str:
+        return f"A box at {arguments.where}."
+
+
+def test_calls_are_shown_in_training_as_in_evaluation() -> None:
+    """Read out of the text as a server does; the result has role tool; what was sampled stays as it was sampled."""
+    tokenizer = chat_tokenizer()
+    thought = '<think><tool_call>{"name": "look", "arguments": {"where": "no"}}</tool_call></think>'
+    call = '<tool_call>\n{"name":"look",  "arguments": {"where": "x"}}\n</tool_call>'
+    texts = [f"{thought}I look.\n{call}", "No call: <tool_call>{</tool_call>", "box", "box"]
+    engine = Engine(*(letters(tokenizer, text) for text in texts))
+
+    def evaluated(messages: Any, context: gem.Context) -> gem.Response:
+        """Answer as an agent over the chat API of a server that reads calls."""
+        if context.turn:
+            return gem.Response(texts[context.turn])
+        function = {"name": "look", "arguments": '{"where": "x"}'}
+        return gem.Response(
+            f"{thought}I look.", tool_calls=[{"id": "call_0_0", "type": "function", "function": function}]
+        )
+
+    evaluated.reads, evaluated.native_tools = "messages", True  # type: ignore[attr-defined]
+    trained = played(gem.ToolEnv(TalkEnv(turns=2), [Look()]), engine, tokenizer)
+    (served,) = gem.rollout(gem.ToolEnv(TalkEnv(turns=2), [Look()]), evaluated, episodes=1, seed=1)
+    assert trained.messages == served.messages
+    assert [message["role"] for message in trained.messages[1:3]] == ["assistant", "tool"]
+    assert "A box at x." in trained.messages[2]["content"]
+    for turn in (0, 1):
+        _, bridge = pieces_of(engine, turn)
+        assert tokenizer.decode(bridge).startswith(f"\n<|im_start|>{'user' if turn else 'tool'}\n")

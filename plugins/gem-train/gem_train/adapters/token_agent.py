@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -28,6 +30,8 @@ class Generated(NamedTuple):
     finish_reason: str = "stop"
 
 
+_CALL = re.compile(r"<tool_call>(.*?)</tool_call>", re.DOTALL)
+
 Generate = Callable[..., Awaitable[Generated]]
 """``await generate(prompt_ids, **sampling)`` samples a continuation. It raises ``RequestError`` where only this episode
 is lost; any other exception stops the run."""
@@ -45,9 +49,11 @@ class TokenAgent:
     prompt is rendered anew and does not begin with the tokens so far. ``gem_train.batches`` begins a new row there.
     White space that a template strips from a response is no such change: the sampled tokens stay.
 
-    Tools are described by the template where it can; otherwise the environment's text explains them. Calls are read
-    from the text of the response, and what the environment answers comes from the user, or under the roles and ids of
-    ``info["messages"]``.
+    Tools are described by the template if it can; otherwise the environment's text explains them. In the first case,
+    calls as Qwen and Hermes write them, ``<tool_call>{"name": …, "arguments": …}</tool_call>`` after any thinking,
+    become native calls of the response, as a server makes them (vLLM: ``--tool-call-parser hermes``). So the record and
+    the role of a result are those of an evaluation by ``openai:`` agents. Calls of other forms stay in the text, and
+    their results come from the user.
 
     Args:
         generate: Samples a continuation; see ``Generate``.
@@ -104,17 +110,29 @@ class TokenAgent:
             limit = room if limit is None else min(limit, room)
         if limit is not None:
             sampling["max_tokens"] = limit
-        return self._response(prompt_ids, await self.generate(prompt_ids, **sampling))
+        return self._response(prompt_ids, await self.generate(prompt_ids, **sampling), context)
 
     def prompt(self, observation: Observation, context: Context) -> list[int]:
         """Return the tokens that the next response continues."""
         messages = _as_messages(observation, context.system)
         tools = context.tools if self.native_tools else None
-        return self._continued(messages, tools, context) or self.template.encode(self.template.render(messages, tools))
-
-    def _continued(self, messages: list[Message], tools: Any, context: Context) -> list[int] | None:
-        """Return the prompt before, its response and the bridge; None where the prompt has to be rendered anew."""
         place = _place_of_response(messages, context)
+        # A response with native calls stands in the chat as it was sampled, so that no call is written anew.
+        sampled = {
+            call["id"]: self.template.decode(said.token_ids)
+            for said in context.responses
+            for call in said.tool_calls or ()
+            if said.token_ids is not None
+        }
+        for message in messages:
+            if (calls := message.get("tool_calls")) and calls[0]["id"] in sampled:
+                message["content"] = sampled[calls[0]["id"]]
+                del message["tool_calls"]
+        continued = self._continued(messages, place, tools, context)
+        return continued or self.template.encode(self.template.render(messages, tools))
+
+    def _continued(self, messages: list[Message], place: int | None, tools: Any, context: Context) -> list[int] | None:
+        """Return the prompt before, its response and the bridge; None where the prompt has to be rendered anew."""
         last = context.responses[-1] if place is not None else Response()
         if place is None or last.token_ids is None or last.prompt_token_ids is None:
             return None
@@ -123,19 +141,40 @@ class TokenAgent:
             return None
         return [*last.prompt_token_ids, *last.token_ids, *self.template.follow(last.token_ids, bridge)]
 
-    def _response(self, prompt_ids: list[int], generated: Generated) -> Response:
+    def _response(self, prompt_ids: list[int], generated: Generated, context: Context) -> Response:
         ids, logprobs = list(map(int, generated.token_ids)), generated.logprobs
         if generated.finish_reason not in ("stop", "length"):
             raise RequestError(f"the engine ended a response with {generated.finish_reason!r}", cause="aborted")
         if logprobs is not None and len(logprobs) != len(ids):
             raise AgentError(f"generate() returned {len(ids)} tokens and {len(logprobs)} log-probabilities")
+        text = self.template.decode(ids)
+        calls = _calls_in(text, context.turn) if self.native_tools and context.tools else []
         return Response(
-            self.template.decode(ids),
+            _before_calls(text) if calls else text,
+            tool_calls=calls or None,
             token_ids=ids,
             prompt_token_ids=prompt_ids,
             logprobs=None if logprobs is None else list(map(float, logprobs)),
             finish_reason=generated.finish_reason,
         )
+
+
+def _calls_in(text: str, turn: int) -> list[dict[str, Any]]:
+    """Return the calls in a text as native ones; none if one of them cannot be read, for the environment to say so."""
+    calls: list[dict[str, Any]] = []
+    try:
+        for place, written in enumerate(_CALL.findall(text.rpartition("</think>")[2])):
+            call = json.loads(written)
+            function = {"name": str(call["name"]), "arguments": json.dumps(call["arguments"])}
+            calls.append({"id": f"call_{turn}_{place}", "type": "function", "function": function})
+    except (ValueError, LookupError, TypeError, RecursionError):
+        return []
+    return calls
+
+
+def _before_calls(text: str) -> str:
+    thinking, end, said = text.rpartition("</think>")
+    return f"{thinking}{end}{said.partition('<tool_call>')[0]}".rstrip()
 
 
 def _place_of_response(messages: list[Message], context: Context) -> int | None:
