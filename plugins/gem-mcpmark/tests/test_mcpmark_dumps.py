@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import subprocess
 
 import pytest
 from mcpmark_helping import CONNECT, needs_postgres, write_task
@@ -54,23 +53,6 @@ def test_a_file_of_sql_plain_and_packed(task, tmp_path):
     packed.mkdir()
     (packed / "shop.sql.gz").write_bytes(gzip.compress(DUMP.encode()))
     assert rows(task, packed) == 2
-
-
-@pytest.mark.thorough
-def test_what_pg_dump_wrote(task, tmp_path):
-    """In its custom form, as MCPMark's dumps are."""
-    from gem_mcpmark.binaries import client_program
-    from gem_mcpmark.episode import EpisodeDatabase
-
-    (tmp_path / "shop.sql").write_text(DUMP)
-    episode = EpisodeDatabase(task, tmp_path)
-    custom = tmp_path / "custom"
-    custom.mkdir()
-    target = custom / "shop.backup"
-    uri = episode.variables["DATABASE_URI"]
-    subprocess.run([client_program("pg_dump"), "--format=custom", f"--file={target}", uri], check=True)
-    episode.close()
-    assert rows(task, custom) == 2
 
 
 @pytest.mark.parametrize(

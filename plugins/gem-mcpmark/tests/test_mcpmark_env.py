@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from mcpmark_helping import CONNECT, FILL, execute, needs_postgres, write_task
+from mcpmark_helping import CONNECT, execute, needs_postgres, write_task
 from sample_solutions import SOLUTIONS
 
 import gem_core as gem
@@ -71,19 +71,6 @@ def test_wrong_arguments_are_refused():
         env.reset(options={"task": "lending/fees"})
 
 
-@pytest.mark.thorough
-def test_another_mcp_server(tmp_path):
-    """It is started with the variables of the episode's database, and may have the address as an argument."""
-    root = write_task(tmp_path, verify=SOLD)
-    script = 'test "$POSTGRES_DATABASE" || DATABASE_URI=; DATABASE_URI=$1 exec "$0" -m gem_tools.mcp.sql_server'
-    server = {"command": "sh", "args": ["-c", script, sys.executable, "{DATABASE_URI}"], "env": {"MARK": "none"}}
-    env = gem.make("mcp:Postgres", path=root, mcp_server=server)
-    env.reset()
-    assert execute(env, "DELETE FROM fruit")[0].startswith("Output of execute_sql:\nDELETE 1")
-    assert env.step("sold")[1] == 1.0
-    env.close()
-
-
 @pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("verify", "words"),
@@ -114,15 +101,6 @@ def test_a_task_without_data_says_what_to_provide(tmp_path):
     env.close()
 
 
-def test_a_script_that_cannot_prepare_is_an_error(tmp_path):
-    env = gem.make(
-        "mcp:Postgres", path=write_task(tmp_path, verify=SOLD, prepare=f"{FILL}raise SystemExit('no more')\n")
-    )
-    with pytest.raises(PostgresError, match=r"shop/fruit: prepare_environment.py exited with 1: no more"):
-        env.reset()
-    env.close()
-
-
 def test_a_verifier_that_finds_no_table_fails_the_agent(tmp_path):
     """Its exception is what the agent has left undone."""
     env = gem.make("mcp:Postgres", path=write_task(tmp_path, verify=f"{CONNECT}cursor.execute('SELECT FROM sales')\n"))
@@ -144,3 +122,11 @@ def test_the_example_of_the_page_runs():
     assert done.stderr == ""
     assert "Make the list for its reminders" in done.stdout
     assert "0.0 {'exit_code': 1" in done.stdout
+
+
+def test_a_script_that_cannot_prepare_is_an_error(tmp_path):
+    root = write_task(tmp_path, verify=SOLD, prepare="raise SystemExit('no more')\n")
+    env = gem.make("mcp:Postgres", path=root)
+    with pytest.raises(PostgresError, match="exited with 1: no more"):
+        env.reset()
+    env.close()

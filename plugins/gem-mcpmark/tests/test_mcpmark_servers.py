@@ -82,17 +82,6 @@ def test_what_a_killed_process_left_is_removed_by_the_next(untouched, tmp_path):
     Server(address)
 
 
-def test_living_processes_keep_what_is_theirs(untouched, tmp_path):
-    """Another process that begins on the same server removes nothing of theirs."""
-    from gem_mcpmark.server import Server
-
-    address, _ = untouched
-    episode = episode_of(write_task(tmp_path, verify=NOTHING_TO_DO, prepare=MAKES_A_ROLE))
-    Server(address)
-    assert episode.verify(60).exit_code == 0
-    episode.close()
-
-
 def test_a_role_of_the_users_is_neither_taken_nor_dropped(untouched, tmp_path):
     script = MAKES_A_ROLE.replace("CREATE ROLE cashier LOGIN", "DROP ROLE IF EXISTS bystander; CREATE ROLE bystander")
     with pytest.raises(PostgresError, match="has roles that the task 'shop/fruit' may make: bystander"):
@@ -108,31 +97,6 @@ def test_a_database_of_the_users_is_copied_and_stays(tmp_path):
         episode = episode_of(root)
         assert episode.verify(60).output == "3\n"
         episode.close()
-
-
-def test_agents_make_roles_only_where_others_are_safe(untouched, tmp_path):
-    """Before PostgreSQL 16 they could change those of others."""
-    _, connection = untouched
-    root = write_task(tmp_path, verify=NOTHING_TO_DO, words="Create a role clerk.")
-    if connection.info.server_version < 160000:
-        with pytest.raises(PostgresError, match="before PostgreSQL 16 whoever may do so may change those of others"):
-            episode_of(root)
-        return
-    import psycopg
-
-    episode = episode_of(root)
-    with agent_of(episode) as agent:
-        agent.execute("CREATE ROLE of_another_name CREATEROLE")
-        with pytest.raises(psycopg.Error):
-            agent.execute("DROP ROLE bystander")
-    episode.close()
-
-
-def test_a_named_server_needs_a_superuser(named, monkeypatch, tmp_path):
-    port = named[1].info.port
-    monkeypatch.setenv("GEM_MCPMARK_POSTGRES", f"postgresql://bystander:secret@127.0.0.1:{port}")
-    with pytest.raises(MissingRequirementError, match="is no superuser of the server"):
-        episode_of(write_task(tmp_path, verify=NOTHING_TO_DO))
 
 
 def test_a_named_server_that_does_not_answer_is_an_error(monkeypatch, tmp_path):
@@ -162,3 +126,39 @@ def wait_until(condition):
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.02)
+
+
+def test_living_processes_keep_what_is_theirs(untouched, tmp_path):
+    """Another process that begins on the same server removes nothing of theirs."""
+    from gem_mcpmark.server import Server
+
+    address, _ = untouched
+    episode = episode_of(write_task(tmp_path, verify=NOTHING_TO_DO, prepare=MAKES_A_ROLE))
+    Server(address)
+    assert episode.verify(60).exit_code == 0
+    episode.close()
+
+
+def test_agents_make_roles_only_where_others_are_safe(untouched, tmp_path):
+    """Before PostgreSQL 16 they could change those of others."""
+    _, connection = untouched
+    root = write_task(tmp_path, verify=NOTHING_TO_DO, words="Create a role clerk.")
+    if connection.info.server_version < 160000:
+        with pytest.raises(PostgresError, match="before PostgreSQL 16 whoever may do so may change those of others"):
+            episode_of(root)
+        return
+    import psycopg
+
+    episode = episode_of(root)
+    with agent_of(episode) as agent:
+        agent.execute("CREATE ROLE of_another_name CREATEROLE")
+        with pytest.raises(psycopg.Error):
+            agent.execute("DROP ROLE bystander")
+    episode.close()
+
+
+def test_a_named_server_needs_a_superuser(named, monkeypatch, tmp_path):
+    port = named[1].info.port
+    monkeypatch.setenv("GEM_MCPMARK_POSTGRES", f"postgresql://bystander:secret@127.0.0.1:{port}")
+    with pytest.raises(MissingRequirementError, match="is no superuser of the server"):
+        episode_of(write_task(tmp_path, verify=NOTHING_TO_DO))

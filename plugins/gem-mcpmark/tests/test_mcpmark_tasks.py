@@ -25,13 +25,6 @@ def test_tasks_are_found_at_any_depth_and_chosen_by_pattern(tmp_path):
         read_tasks(root, "shop/fruits")
 
 
-def test_a_folder_is_run_without_an_id(tmp_path):
-    root = write_task(tmp_path, verify=NOTHING_TO_DO)
-    from gem_core.registry import registry
-
-    assert registry().env_of_folder(root).id == "mcp:Postgres"
-
-
 def test_what_cannot_be_read_is_named(tmp_path):
     with pytest.raises(TaskError, match="there is no such folder"):
         read_tasks(tmp_path / "none")

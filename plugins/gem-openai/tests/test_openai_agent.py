@@ -27,7 +27,6 @@ from chat_server import (
     waits,
 )
 
-import gem_core as gem
 from gem_core.background import run_sync
 from gem_core.errors import ContextOverflowError, RequestError
 
@@ -42,16 +41,6 @@ def test_a_text_becomes_a_message_of_the_user(server: ChatServer, make_agent: Ma
     assert request.body == {"model": MODEL, "messages": [{"role": "user", "content": "hello"}]}
 
 
-def test_sampling_parameters_and_more_fields_are_sent(server: ChatServer, make_agent: MakeAgent) -> None:
-    """A temperature of 0 is one."""
-    options: dict[str, Any] = {"temperature": 0.0, "top_p": 0.9, "max_tokens": 5, "seed": 0, "stop": ["a"]}
-    ask(make_agent(**options, extra_body={"top_k": 20}))
-    assert {key: value for key, value in server.chats[0].items() if key not in ("model", "messages")} == {
-        **options,
-        "top_k": 20,
-    }
-
-
 def test_the_system_prompt_is_the_option_or_that_of_the_episode(server: ChatServer, make_agent: MakeAgent) -> None:
     """That of the environment holds for the whole episode; messages that bring one keep theirs."""
     agent = make_agent()
@@ -62,18 +51,6 @@ def test_the_system_prompt_is_the_option_or_that_of_the_episode(server: ChatServ
     ask(make_agent(system="mine"), [{"role": "system", "content": "own"}, {"role": "user", "content": "x"}])
     firsts = [chat["messages"][0] for chat in server.chats]
     assert [message["content"] for message in firsts] == ["from the task", "from the task", "hello", "mine", "own"]
-
-
-def test_messages_of_a_chat_view_are_sent_as_they_are(server: ChatServer, make_agent: MakeAgent) -> None:
-    """With calls and their answers."""
-    call = {"id": "c1", "type": "function", "function": {"name": "f", "arguments": "{"}}
-    messages = [
-        {"role": "user", "content": "x"},
-        {"role": "assistant", "content": gem.Response("y"), "tool_calls": [call]},
-        {"role": "tool", "tool_call_id": "c1", "content": "z"},
-    ]
-    ask(make_agent(), messages)
-    assert server.chats[0]["messages"] == messages
 
 
 def test_images_arrive_as_data_urls(server: ChatServer, make_agent: MakeAgent) -> None:
@@ -88,21 +65,6 @@ def test_images_arrive_as_data_urls(server: ChatServer, make_agent: MakeAgent) -
         kind, _, data = image["image_url"]["url"].partition(",")
         assert (image["type"], kind) == ("image_url", "data:image/png;base64")
         assert image_module.open(io.BytesIO(base64.b64decode(data))).size == (3, 2)
-
-
-def test_tools_are_offered_unless_forbidden(server: ChatServer, make_agent: MakeAgent) -> None:
-    """In the API's own way."""
-    tools = [{"type": "function", "function": {"name": "f", "parameters": {}}}]
-    ask(make_agent(), tools=tools)
-    ask(make_agent(native_tools=False), tools=tools)
-    assert server.chats[0]["tools"] == tools
-    assert "tools" not in server.chats[1]
-
-
-def test_lone_surrogates_do_not_stop_a_request(server: ChatServer, make_agent: MakeAgent) -> None:
-    """A model may have written them."""
-    ask(make_agent(), "a\ud800b")
-    assert server.chats[0]["messages"][0]["content"] == "a?b"
 
 
 # What comes back.
@@ -280,13 +242,6 @@ def test_the_deadline_holds(server: ChatServer, make_agent: MakeAgent, limits: s
     with pytest.raises(RequestError, match=r"no answer within 0 s; the time for this request is up$|deadline passed"):
         ask(agent, deadline=deadline)
     assert waits(agent) == []
-
-
-def test_a_deadline_that_is_over_sends_nothing(server: ChatServer, make_agent: MakeAgent) -> None:
-    """Nobody would read the answer."""
-    with pytest.raises(RequestError, match="the deadline passed before it was sent"):
-        ask(make_agent(), deadline=time.monotonic() - 1)
-    assert server.requests == []
 
 
 def test_a_deadline_holds_for_the_wait_for_a_place(server: ChatServer, make_agent: MakeAgent) -> None:

@@ -29,15 +29,6 @@ def test_a_model_calls_a_tool_and_is_sent_the_conversation(server: ChatServer, m
     assert (episode.reads, episode.system, episode.native_tools) == ("messages", "Be brief.", True)
 
 
-def test_without_native_tools_the_text_explains_them(server: ChatServer, make_agent: MakeAgent) -> None:
-    """And no request names them."""
-    server.otherwise = Reply(completion("stop"))
-    list(gem.rollout(gem.ToolEnv(EchoEnv(), [Notebook()]), make_agent(native_tools=False), episodes=1))
-    (chat,) = server.chats
-    assert "tools" not in chat
-    assert "<note>" in chat["messages"][0]["content"]
-
-
 def test_an_image_is_encoded_once_in_a_conversation(
     server: ChatServer, make_agent: MakeAgent, monkeypatch: pytest.MonkeyPatch
 ) -> None:

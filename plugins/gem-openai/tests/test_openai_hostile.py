@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import traceback
 from pathlib import Path
 from typing import Any
@@ -121,43 +120,6 @@ def test_images_of_tools_follow_as_a_message_of_the_user(server: ChatServer, mak
     assert [part["type"] for part in messages[4]["content"]] == ["image_url", "image_url"]
 
 
-def test_names_of_models_are_shown_on_one_line(server: ChatServer, make_agent: MakeAgent) -> None:
-    """Whatever a server calls them."""
-    server.models = Reply({"data": [{"id": "a\n\x1b[31mb"}]})
-    server.otherwise = error(404, "no such model", "model_not_found")
-    with pytest.raises(gem.errors.UnknownModelError) as caught:
-        run_sync(make_agent(max_retries=0).prepare())
-    assert str(caught.value).isprintable()
-
-
-@pytest.mark.parametrize("raw", [NESTED, VERY_NESTED])
-def test_nested_chunks_are_a_fault_or_read(server: ChatServer, make_agent: MakeAgent, raw: bytes) -> None:
-    """Of a stream, too. How deep Python itself reads JSON differs between its versions."""
-    whole = json.dumps({"choices": [{"delta": {"content": "a"}, "finish_reason": "stop"}], "usage": "RAW"}).encode()
-    body = b"data: " + whole.replace(b'"RAW"', b'{"a":' + raw + b"}") + b"\n\ndata: [DONE]\n\n"
-    server.otherwise = Reply(body, headers={"Content-Type": "text/event-stream"})
-    try:
-        outcome = str(ask(make_agent(stream=True, max_retries=0)))
-    except RequestError as error:
-        outcome = str(error)
-    assert re.search(r"^a$|no valid JSON|nested too deeply", outcome)
-
-
-def test_passwords_in_netrc_are_neither_sent_nor_in_the_way(
-    server: ChatServer, make_agent: MakeAgent, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A default entry holds for every host."""
-    netrc = tmp_path / "netrc"
-    netrc.write_text("default login me password other\n")
-    netrc.chmod(0o600)
-    monkeypatch.setenv("NETRC", str(netrc))
-    url = server.url.replace("127.0.0.1", "0.0.0.0")  # not known as this machine
-    assert ask(make_agent(base_url=url)) == "ok"
-    monkeypatch.delenv("OPENAI_API_KEY")
-    assert ask(make_agent(base_url=url)) == "ok"
-    assert [request.headers.get("authorization") for request in server.requests] == [f"Bearer {KEY}", None]
-
-
 def test_the_proxy_of_the_environment_is_used(
     server: ChatServer, make_agent: MakeAgent, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -178,3 +140,27 @@ def test_hosts_that_cannot_be_are_refused_at_the_start(make_agent: MakeAgent, ur
     """Else the look-up raises what is no error of ours."""
     with pytest.raises(gem.errors.ArgumentError, match="the base URL must look like"):
         make_agent(base_url=url)
+
+
+def test_names_of_models_are_shown_on_one_line(server: ChatServer, make_agent: MakeAgent) -> None:
+    """Whatever a server calls them."""
+    server.models = Reply({"data": [{"id": "a\n\x1b[31mb"}]})
+    server.otherwise = error(404, "no such model", "model_not_found")
+    with pytest.raises(gem.errors.UnknownModelError) as caught:
+        run_sync(make_agent(max_retries=0).prepare())
+    assert str(caught.value).isprintable()
+
+
+def test_passwords_in_netrc_are_neither_sent_nor_in_the_way(
+    server: ChatServer, make_agent: MakeAgent, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A default entry holds for every host."""
+    netrc = tmp_path / "netrc"
+    netrc.write_text("default login me password other\n")
+    netrc.chmod(0o600)
+    monkeypatch.setenv("NETRC", str(netrc))
+    url = server.url.replace("127.0.0.1", "0.0.0.0")  # not known as this machine
+    assert ask(make_agent(base_url=url)) == "ok"
+    monkeypatch.delenv("OPENAI_API_KEY")
+    assert ask(make_agent(base_url=url)) == "ok"
+    assert [request.headers.get("authorization") for request in server.requests] == [f"Bearer {KEY}", None]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from chat_server import KEY, ChatServer, Reply, Request, completion, error
+from chat_server import KEY, ChatServer
 
 import gem_core as gem
 from gem_core import extract_code_blocks
@@ -103,64 +102,6 @@ def test_wrong_options_get_one_line_and_exit_code_2(run: Run, arguments: list[st
     code, out, err = run(COUNTDOWN, *arguments)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert message in err
-
-
-def test_what_cannot_work_is_said_at_the_start(server: ChatServer, run: Run) -> None:
-    """One line, nothing run and nothing written."""
-    server.models = error(401, f"wrong: {KEY}")
-    wrong_key = run(COUNTDOWN, "--agent", "openai:toy-model")
-    server.models = Reply({"data": [{"id": "toy-model"}]})
-    server.otherwise = error(404, "no such model")
-    wrong_model = run(COUNTDOWN, "--agent", "openai:toy-modle")
-    server.close()
-    unreachable = run(COUNTDOWN, "--agent", "openai:toy-model")
-    where = server.url
-    assert wrong_key == (1, "", f"gem: {where} refuses the key in OPENAI_API_KEY (status 401: wrong: ***)\n")
-    assert wrong_model == (
-        2,
-        "",
-        f"gem: {where} refuses the model 'toy-modle'. Did you mean 'toy-model'? It has: toy-model. "
-        "(status 404: no such model)\n",
-    )
-    assert unreachable == (
-        1,
-        "",
-        f"gem: cannot reach {where}: connection refused; start the server or correct --base-url\n",
-    )
-    assert not Path("runs").exists()
-
-
-def test_as_many_environments_as_requests_at_once(server: ChatServer, run: Run) -> None:
-    """Without being told; the server answers when all are there."""
-    opened = asyncio.Event()
-
-    async def together(request: Request) -> Reply:
-        if server.in_flight == 20:
-            opened.set()
-        await opened.wait()
-        return Reply(completion())
-
-    server.otherwise = together
-    run("toy:Echo-v0", "-n", "40", "-t", "2", "--agent", "openai:toy-model", "--max-concurrency", "20")
-    assert server.peak == 20
-
-
-def test_usage_that_is_no_count_is_left_out(server: ChatServer, run: Run) -> None:
-    """Servers write what they like."""
-    server.otherwise = Reply(completion() | {"usage": {"prompt_tokens": None, "completion_tokens": "many"}})
-    code, out, _ = run(COUNTDOWN, "-n", "1", "--agent", "openai:toy-model")
-    assert (code, "tokens in" in out) == (0, False)
-
-
-@pytest.mark.parametrize("name", ["openai", "openai:some-model"])
-def test_gem_info_tells_what_the_agent_takes(capsys: pytest.CaptureFixture[str], name: str) -> None:
-    """With a model or without one."""
-    with pytest.raises(SystemExit) as caught:
-        main(["info", name])
-    lines = capsys.readouterr().out.splitlines()
-    assert caught.value.code in (None, 0)
-    assert "  argument:     model: str = '', as in openai:…" in lines
-    assert "  options:      base_url: str | None = None" in lines
 
 
 def test_the_example_of_the_readme_runs(

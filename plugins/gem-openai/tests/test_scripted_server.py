@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import json
 import re
 import subprocess
 import sys
@@ -33,27 +31,3 @@ def test_the_one_command_of_the_readme_wins_the_game(tmp_path: Path) -> None:
     done = scripted(tmp_path, command)
     assert (done.returncode, done.stderr) == (0, "")
     assert "100.0%" in done.stdout
-
-
-def test_the_scripted_server_streams(tmp_path: Path) -> None:
-    """In pieces that the agent joins."""
-    pytest.importorskip("gem_games")
-    done = scripted(tmp_path, "gem run game:GuessTheNumber-v0 -n 2 -s 1 --agent openai:scripted --stream")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "100.0%" in done.stdout
-
-
-def test_the_scripted_model_calls_a_tool_once() -> None:
-    """With arguments that fit its schema."""
-    specification = importlib.util.spec_from_file_location("scripted_server", EXAMPLE)
-    assert specification is not None
-    assert specification.loader is not None
-    example = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(example)
-    schema = {"properties": {"code": {"type": "string"}, "times": {"type": "integer"}}, "required": ["code", "times"]}
-    tools = [{"type": "function", "function": {"name": "python", "parameters": schema}}]
-    user = {"role": "user", "content": "What is 6 times 7?"}
-    _, (call,) = example.answer([user], tools)
-    assert json.loads(call["function"]["arguments"]) == {"code": "print(6 * 7)", "times": 6}
-    text, calls = example.answer([user, {"role": "tool", "tool_call_id": "call_0", "content": "42"}], tools)
-    assert (text, calls) == (r"I am a script, and I say \boxed{42}.", [])

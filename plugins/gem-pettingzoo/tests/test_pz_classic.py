@@ -98,29 +98,6 @@ def test_first_observation_has_rules_board_and_legal_moves() -> None:
     assert infos["player_2"]["final_obs"].startswith("You lost.\nX took square 5.\n")
 
 
-def test_connect_four_shows_the_board_upright() -> None:
-    """Discs lie at the bottom, one on another."""
-    env: Any = gem.make("pz:connect_four-v3")
-    env.reset(seed=0)
-    env.step({"player_0": "\\boxed{3}"})
-    observations, *_ = env.step({"player_1": "\\boxed{3}"})
-    assert observations["player_0"].startswith("O chose column 3.\nYou are X.\n\n0 1 2 3 4 5 6\n. . . . . . .\n")
-    assert ". . . O . . .\n. . . X . . .\n\nAnswer with one of 0, 1, 2, " in observations["player_0"]
-
-
-def test_gestures_are_those_of_the_rules() -> None:
-    """Five gestures beat each other as in the known game."""
-    env: Any = gem.make("pz:rps-v2", num_actions=5)
-    rules = env.reset(seed=0)[0]["player_0"]
-    assert (
-        "rock beats scissors and lizard; paper beats rock and spock; scissors beats paper and lizard; "
-        "spock beats rock and scissors; lizard beats paper and spock."
-    ) in rules
-    assert rules.endswith(
-        "Round 1 of 15.\nAnswer with one of rock, paper, scissors, spock, lizard in a box, as \\boxed{rock}."
-    )
-
-
 def test_forfeit_shows_no_winner() -> None:
     """Three responses without a legal move end the game, at -1 for that player alone; both see how it stands."""
     env: Any = gem.make("pz:connect_four-v3")
@@ -137,17 +114,6 @@ def test_forfeit_shows_no_winner() -> None:
         "player_0 forfeits for want of a legal action; the episode is over.\nYou chose column 6.\n"
     )
     assert infos["player_1"]["final_obs"].endswith(". . . . . X O")
-
-
-def test_game_that_is_cut_off_is_no_draw() -> None:
-    """A limit from outside truncates, and shows how the game stands."""
-    spec = gem.spec("pz:tictactoe-v3")
-    env: Any = gem.make(gem.EnvSpec(id="pz:Short-v0", entry_point=spec.entry_point, max_turns=1))
-    env.reset(seed=0)
-    _, _, _, truncations, infos = env.step({"player_1": "\\boxed{0}"})
-    assert all(truncations.values())
-    assert infos["player_1"]["final_obs"].startswith("You took square 0.\nYou are X.\n\nX | 3 | 6\n")
-    assert "correct" not in infos["player_1"]
 
 
 @pytest.mark.parametrize("name", ["pz:rps-v2", "pz:tictactoe-v3", "pz:connect_four-v3"])

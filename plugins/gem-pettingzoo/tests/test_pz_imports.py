@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from joint_toys import AuctionEnv, CountdownEnv
 from pettingzoo import AECEnv, ParallelEnv  # type: ignore[import-untyped]
 
-import gem_core as gem
 from gem_core import MultiAgentEnv
 from gem_core.errors import ArgumentError, SamplingNotSupported
 from gem_core.making.again import Recipe
@@ -230,15 +229,6 @@ def test_others_wait_for_who_tries_again() -> None:
     assert observations["g_0"].startswith("last: [1.5 2. ]\nround: 1\n")
 
 
-def test_agent_that_is_gone_without_a_flag_was_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An environment that takes an agent out of its list and says no more has ended for it, too."""
-    step = GuessesEnv.step
-    monkeypatch.setattr(GuessesEnv, "step", lambda self, actions: (*step(self, actions)[:2], {}, {}, {}))
-    env = from_pettingzoo(GuessesEnv)
-    env.reset(seed=0)
-    assert env.step({"g_0": "\\boxed{-1 0}", "g_1": "\\boxed{0 0}"})[3] == {"g_0": True, "g_1": False}
-
-
 @pytest.mark.parametrize(
     "answer", ["1", "1 2 3", "nan 1", "inf 1", "1e400 1", "one two", "[" * 100_000, "1 " * 100_000]
 )
@@ -282,14 +272,6 @@ def _reset_without_mask(reset: Any) -> Any:
     return patched
 
 
-def test_many_numbers_are_told_by_the_first_and_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thousand actions do not fill the view."""
-    monkeypatch.setattr(FadingEnv, "action_space", lambda self, agent: spaces.Discrete(1000, start=1))
-    monkeypatch.setattr(FadingEnv, "reset", _reset_without_mask(FadingEnv.reset))
-    observations, _ = from_pettingzoo(FadingEnv).reset(seed=0)
-    assert observations == {"p_0": "0\nAnswer with a number from 1 to 1000 in a box, as \\boxed{1}."}
-
-
 def test_boards_are_shown_whole() -> None:
     """Also inside of tuples; numpy leaves out the middle of more than 1,000 numbers."""
     board = np.zeros((8, 8, 111), dtype=np.int8)
@@ -311,22 +293,6 @@ def test_functions_of_the_caller_describe_and_read() -> None:
     assert env.step({"p_0": "+++"})[0]["p_0"].startswith("Your last response has no legal action.")
     with pytest.raises(SamplingNotSupported, match=r"^actions cannot be sampled where a function reads them"):
         env.sample_random_action("p_0")
-
-
-def test_fork_goes_on_in_the_middle_of_a_try() -> None:
-    env = from_pettingzoo(GuessesEnv)
-    env.reset(seed=0)
-    env.step({"g_0": "\\boxed{0.1 2}", "g_1": "\\boxed{1 1}"})
-    env.step({"g_0": "\\boxed{0.3 2}", "g_1": "?"})
-    other = env.fork()
-    assert other.step({"g_1": "\\boxed{1 -2}"}) == env.step({"g_1": "\\boxed{1 -2}"})
-
-
-def test_registered_function_makes_each_its_own() -> None:
-    """An id of one's own points to ``from_pettingzoo``, with a function that makes the environment."""
-    gem.register("my:Fading-v0", "gem_pettingzoo:from_pettingzoo", env=FadingEnv, retries=0)
-    one, other = gem.make("my:Fading-v0"), gem.make("my:Fading-v0", retries=1)
-    assert one.unwrapped.pettingzoo_env is not other.unwrapped.pettingzoo_env
 
 
 def test_environment_is_not_shared() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gem_core as gem
-from gem_core.errors import ArgumentError, DatasetError
+from gem_core.errors import ArgumentError
 from gem_core.testing import check_env
 from gem_qa import QAEnv
 
@@ -42,16 +42,13 @@ def test_prompt_says_where_the_answer_goes() -> None:
     [
         ("<answer>Rembrandt</answer>", "Rembrandt", 1.0),
         ("I think <answer>Vermeer</answer>, no: <answer> rembrandt van Rijn. </answer>", "rembrandt van Rijn.", 1.0),
-        ("\\boxed{Rembrandt}", "Rembrandt", 1.0),
         ("\\boxed{Vermeer} <answer>Rembrandt</answer>", "Rembrandt", 1.0),
         ("<answer>\\boxed{\\text{Rembrandt}}</answer>", "Rembrandt", 1.0),
         ("<think><answer>Vermeer</answer>?</think>It is \\boxed{Rembrandt}.", "Rembrandt", 1.0),
         ("<think>So <answer>Rembrandt</answer></think>It is he.", None, 0.0),
         ("<think>So <answer>Rembrandt</answer>", None, 0.0),
         ("<answer>Rembrandt and Vermeer</answer>", "Rembrandt and Vermeer", 0.0),
-        ("<answer></answer>", "", 0.0),
         ("Rembrandt", None, 0.0),
-        ("<answer>Rembrandt", None, 0.0),
         ("", None, 0.0),
     ],
 )
@@ -102,16 +99,6 @@ def test_wrong_arguments_are_named(options: dict[str, Any], message: str) -> Non
     with pytest.raises(ArgumentError) as caught:
         QAEnv(ROWS, **options)
     assert message in str(caught.value)
-
-
-def test_keyword_that_does_not_exist_is_answered_with_those_that_do() -> None:
-    """Those of ``DatasetEnv`` among them, which this class hands on."""
-    with pytest.raises(ArgumentError) as caught:
-        gem.make("qa:Sample", question_kye="x")
-    assert "Did you mean 'question_key'?" in str(caught.value)
-    assert "row_filter" in str(caught.value)
-    with pytest.raises(DatasetError, match=r"'query' .*Columns: 'id', 'question', 'answers'"):
-        gem.make("qa:Sample", question_key="query")
 
 
 def test_environment_keeps_what_it_promises() -> None:

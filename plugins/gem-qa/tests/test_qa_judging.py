@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-import gem_core as gem
 from gem_core.errors import ArgumentError
 from gem_qa import QAEnv, judging
 
@@ -53,12 +52,6 @@ def test_judge_decides_on_the_rest(judge: Any) -> None:
     assert last_step("<answer>Vermeer</answer>", judge)[0] == 0.0
 
 
-def test_coroutine_may_give_a_part() -> None:
-    """Which is a reward, and not correct."""
-    reward, _, info = last_step("<answer>Vermeer</answer>", half, reward="f1")
-    assert (reward, info["correct"], info["f1"]) == (0.5, False, 0.0)
-
-
 @pytest.mark.parametrize("kind", ["function", "coroutine"])
 def test_a_judge_that_hangs_is_given_up(kind: str) -> None:
     """Its episode is an error, and the environment goes on."""
@@ -82,32 +75,11 @@ def test_a_judge_that_hangs_is_given_up(kind: str) -> None:
     assert env.step("<answer>Rembrandt</answer>")[1] == 1.0
 
 
-def test_a_judge_that_reports_a_timeout_of_its_own_is_quoted() -> None:
-    """It is told apart from ours."""
-
-    def times_out(question: str, accepted: Sequence[str], answer: str) -> bool:
-        raise TimeoutError("the line is busy")
-
-    message = last_step("<answer>Vermeer</answer>", times_out)[2]["error"]["message"]
-    assert message == "the judge failed: TimeoutError: the line is busy"
-
-
 @pytest.mark.parametrize("seconds", [0, -1, True, "1"])
 def test_a_limit_for_judges_must_be_seconds(seconds: Any) -> None:
     """Above 0."""
     with pytest.raises(ArgumentError, match="judge_timeout_s must be seconds above 0, or None"):
         QAEnv(ROWS, judge_timeout_s=seconds)
-
-
-@pytest.mark.parametrize("backend", ["sync", "async"])
-def test_judged_environments_run_in_every_backend(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A coroutine is awaited without blocking the loop it runs on."""
-    vector = gem.make_vec("qa:Sample", 4, backend=backend, seed=0, judge=half)
-    try:
-        vector.reset()
-        assert list(vector.step(["<answer>Nobody Knows</answer>"] * 4)[1]) == [0.5] * 4
-    finally:
-        vector.close()
 
 
 @pytest.mark.parametrize(
@@ -175,12 +147,6 @@ def test_model_says_yes(server: Any) -> None:
     assert judged_by(server, "Same man.\n\n**VERDICT: CORRECT**\n", "<answer>R. van Rijn</answer>")[0] == 1.0
 
 
-def test_a_long_answer_is_cut(server: Any) -> None:
-    """Before it fills the judge's context."""
-    judged_by(server, "VERDICT: INCORRECT", f"<answer>{'x ' * 100_000}</answer>")
-    assert len(server.chats[0]["messages"][1]["content"]) < 3000
-
-
 @pytest.mark.parametrize("reply", [None, "Yes, it is correct."])
 def test_model_without_a_clear_verdict_is_an_error(server: Any, reply: str | None) -> None:
     """As is one that does not answer."""
@@ -189,23 +155,7 @@ def test_model_without_a_clear_verdict_is_an_error(server: Any, reply: str | Non
     assert info["error"]["message"].startswith("the judge")
 
 
-def test_server_that_is_not_there_is_an_error(server: Any) -> None:
-    """With the address in the message."""
-    server.close()
-    reward, truncated, info = judged_by(server, "x", "<answer>Vermeer</answer>")
-    assert (reward, truncated) == (0.0, True)
-    assert info["error"]["message"].startswith(f"the judge gave no verdict: toy-model at {server.url} gave no answer")
-
-
 def test_an_option_that_the_model_does_not_take_is_refused(server: Any) -> None:
     """When the environment is made."""
     with pytest.raises(ArgumentError, match=r"Did you mean 'temperature'\?"):
         QAEnv(ROWS, judge="openai:m", judge_options={"temprature": 1})
-
-
-def test_environments_share_one_model(server: Any) -> None:
-    """So that its limit of requests at once holds for all of them."""
-    one, other = (QAEnv(ROWS, judge="openai:m", judge_url=server.url, judge_options={"seed": 1}) for _ in range(2))
-    assert one._judge is other._judge
-    assert one.concurrency == "thread"
-    assert QAEnv(ROWS).concurrency == "inline"

@@ -31,9 +31,6 @@ class TallyEnv(gem.Env):
     def sample_random_action(self) -> str:
         return str(int(self.action_random.integers(1000)))
 
-    def _raise(self, operand: str) -> str:
-        raise ValueError(operand)
-
     def _exit(self, operand: str) -> str:
         os._exit(int(operand))
 
@@ -45,22 +42,10 @@ class TallyEnv(gem.Env):
         # Reading from a pipe waits until somebody writes to it.
         return Path(operand).read_text()
 
-    def _big(self, operand: str) -> str:
-        return "x" * int(operand)
-
     def _node(self, operand: str) -> str:
         import ray
 
         return str(ray.get_runtime_context().get_node_id())
-
-    def _variable(self, operand: str) -> str:
-        return os.environ.get(operand, "unset")
-
-
-class BlockingTallyEnv(TallyEnv):
-    """The same, run in threads."""
-
-    concurrency = "thread"
 
 
 class PairEnv(gem.MultiAgentEnv):
@@ -103,6 +88,5 @@ class FarewellEnv(TallyEnv):
 def register_toys() -> None:
     """Register the environments above."""
     gem.register("raytoy:Tally-v0", "ray_toys:TallyEnv")
-    gem.register("raytoy:Blocking-v0", "ray_toys:BlockingTallyEnv")
     gem.register("raytoy:Farewell-v0", "ray_toys:FarewellEnv")
     gem.register("raytoy:Pair-v0", "ray_toys:PairEnv", seats=("left", "right"))

@@ -87,21 +87,6 @@ def test_an_actor_killed_in_a_step_is_a_truncated_slot(
 
 
 @pytest.mark.thorough
-def test_observations_of_megabytes_arrive(vec: Callable[..., gem.VectorEnv]) -> None:
-    """They take Ray's way for large things."""
-    vector = vec(2)
-    vector.reset()
-    assert [len(each) for each in vector.step(["big 3000000", "big 5"]).observations] == [3_000_000, 5]
-
-
-@pytest.mark.thorough
-def test_runtime_env_reaches_the_actor(vec: Callable[..., gem.VectorEnv]) -> None:
-    vector = vec(1, options={"runtime_env": {"env_vars": {"GEM_RAY_TEST": "here"}}})
-    vector.reset()
-    assert vector.step(["variable GEM_RAY_TEST"]).observations == ["here"]
-
-
-@pytest.mark.thorough
 def test_a_runtime_env_that_cannot_be_made_ends_the_run(vec: Callable[..., gem.VectorEnv], tmp_path: Path) -> None:
     """Trying again would not help."""
     vector = vec(2, options={"runtime_env": {"working_dir": (tmp_path / "missing.zip").as_uri()}})
@@ -116,6 +101,7 @@ def test_no_room_for_any_actor_is_an_error(vec: Callable[..., gem.VectorEnv]) ->
         vector.reset()
 
 
+@pytest.mark.thorough
 def test_actors_that_have_just_ended_leave_their_cpus(vec: Callable[..., gem.VectorEnv], workers: list[Any]) -> None:
     """By default there is an actor for each CPU, one run after another; and no more than slots."""
     for _ in range(3):
@@ -127,6 +113,7 @@ def test_actors_that_have_just_ended_leave_their_cpus(vec: Callable[..., gem.Vec
     assert len(workers) == 7
 
 
+@pytest.mark.thorough
 def test_close_closes_environments_and_ends_actors(
     vec: Callable[..., gem.VectorEnv], workers: list[Any], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

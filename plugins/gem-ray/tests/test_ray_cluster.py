@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
-import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -36,47 +32,6 @@ def test_actors_are_spread_over_the_nodes(cluster: Any, vec: Callable[..., gem.V
     assert not ray.is_initialized()
 
 
-def test_a_script_that_ends_without_closing_leaves_no_actor(cluster: Any, tmp_path: Path) -> None:
-    """Its own environments went to the actors by value; Ray says nothing to its terminal."""
-    script = tmp_path / "script.py"
-    script.write_text(
-        textwrap.dedent(
-            f"""
-            import json, os, sys, time
-            import gem_core as gem
-
-            class DoubleEnv(gem.Env):
-                def close(self):
-                    time.sleep(0.5)
-                    open(f"{tmp_path}/closed{{os.getpid()}}", "w").close()
-
-                def reset(self, seed=None, options=None):
-                    super().reset(seed=seed)
-                    return "begin", {{}}
-
-                def step(self, action):
-                    return SEPARATOR.join([action, action]), 1.0, False, False, {{}}
-
-            SEPARATOR = "-"
-            gem.register("mine:Double-v0", DoubleEnv)
-            options = {{"num_actors": 2, "address": "{cluster.address}"}}
-            vec = gem.make_vec("mine:Double-v0", 2, backend=("ray", options))
-            vec.reset()
-            from ray._private.state import actors
-            kind = "EnvActor", "ALIVE"
-            ids = [key for key, row in actors().items() if (row["ActorClassName"], row["State"]) == kind]
-            print(json.dumps([vec.step(["a", "b"]).observations, ids]))
-            """
-        )
-    )
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    observations, ids = json.loads(done.stdout)
-    assert observations == ["a-a", "b-b"]
-    assert {_state(cluster, actor_id) for actor_id in ids} == {"DEAD"}
-    assert len(list(tmp_path.glob("closed*"))) == 2
-
-
 def test_the_end_of_a_node_is_survived(
     cluster: Any, vec: Callable[..., gem.VectorEnv], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -104,15 +59,3 @@ def test_the_end_of_a_node_is_survived(
     ]
     assert len(set(nodes(vector))) == 1
     assert "share" in caplog.text
-
-
-def _state(cluster: Any, actor_id: str) -> str:
-    """Return what the cluster says of an actor."""
-    import ray
-    from ray._private.state import actors
-
-    ray.init(address=cluster.address, log_to_driver=False, ignore_reinit_error=True)
-    try:
-        return str(actors(actor_id=actor_id)["State"])
-    finally:
-        ray.shutdown()

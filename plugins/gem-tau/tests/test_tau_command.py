@@ -31,13 +31,6 @@ def test_reference_actions_get_1(tmp_path: Path) -> None:
     assert done.output == f"2 of 2 tasks get reward 1 by their reference actions\n{OURS}\n"
 
 
-def test_the_tasks_of_the_sample_hold() -> None:
-    """It is named as its environment names it."""
-    done = check("gem_tau:sample", "--drop-one-write")
-    assert done.exit_code == 0
-    assert done.output.startswith("10 of 10 tasks get reward 1 by their reference actions\n0 of ")
-
-
 def test_without_one_write_they_do_not(tmp_path: Path) -> None:
     """Writes that make no difference to the final database are told apart, with the reason."""
     write_tau(tmp_path, tau_task(CANCEL, CANCEL), tau_task(MOVE, BACK, MOVE, AGAIN))
@@ -59,8 +52,7 @@ def test_without_one_write_they_do_not(tmp_path: Path) -> None:
 def test_a_task_that_its_own_actions_do_not_solve(tmp_path: Path) -> None:
     """It is named, and the exit code is 1."""
     done = check(write_tau(tmp_path, tau_task(CANCEL, outputs=("1,234",))))
-    assert done.exit_code == 1
-    assert done.output == f"0 of 1 tasks get reward 1 by their reference actions\n  test-0 does not\n{OURS}\n"
+    assert (done.exit_code, done.output.splitlines()[1]) == (1, "  test-0 does not")
 
 
 def test_a_reward_that_does_not_see_a_write(tmp_path: Path) -> None:

@@ -121,25 +121,6 @@ def test_first_native_call_alone_is_executed() -> None:
 
 
 @pytest.mark.parametrize(
-    "response",
-    [
-        written(*CANCEL),
-        native(CANCEL),
-    ],
-)
-def test_calls_are_read_in_text_and_natively(response: str) -> None:
-    """In text and natively; gem-tools adds the forms of model families."""
-    env = begun()
-    *_, infos = env.step({"assistant": response})
-    assert infos["assistant"]["tool"] == {
-        "name": "cancel_order",
-        "arguments": CANCEL[1],
-        "failed": False,
-        "error": None,
-    }
-
-
-@pytest.mark.parametrize(
     ("response", "told"),
     [
         ('<tool_call>{"name": "cancel_order"', "The call could not be read: "),
@@ -200,13 +181,6 @@ def test_limit_of_steps_is_a_number(steps: Any) -> None:
         TauEnv("gem_tau:sample", max_assistant_steps=steps)
 
 
-def test_first_message_of_the_user_ends_nothing() -> None:
-    """The assistant acts at least once."""
-    env = gem.make("tau:Sample")
-    env.reset(seed=0)
-    assert env.step({"user": STOP})[0] == {"assistant": STOP}
-
-
 def test_neither_seat_sees_what_is_the_others() -> None:
     """The instruction and the reference actions stay with the user's seat, calls and results with the assistant's."""
     env = gem.make("tau:Sample")
@@ -235,16 +209,6 @@ def test_neither_seat_sees_what_is_the_others() -> None:
         assert not [word for word in ("get_order", "tool_call", "bell-brass", "Let me look", "Policy") if word in user]
         assert "MINE" not in user.replace(json.dumps(task.instruction), "")
         assert "They" not in assistant
-
-
-def test_tasks_are_drawn_or_chosen() -> None:
-    """A seed draws a row; an index takes one."""
-    env = gem.make("tau:Sample")
-    drawn = [env.reset(seed=seed)[1]["user"]["task_id"] for seed in range(20)]
-    assert drawn == [env.reset(seed=seed)[1]["user"]["task_id"] for seed in range(20)]
-    assert len(set(drawn)) > 4
-    with pytest.raises(ArgumentError, match=r"^options\['index'\] must be from 0 to 9, not 10$"):
-        env.reset(options={"index": 10})
 
 
 def test_fork_goes_on_in_the_middle() -> None:
@@ -320,17 +284,6 @@ def test_solo_plays_the_user_inside() -> None:
     assert info["correct"]
     (episode,) = gem.rollout("tau:Sample-solo", load_agent("tau-assistant:careful"), episodes=1)
     assert episode.success
-
-
-def test_solo_draws_one_of_several_users() -> None:
-    """By the seed of the episode."""
-    env = gem.make("tau:Sample-solo", user=["tau-user:patient", "tau-user:terse"])
-    openings = [env.reset(seed=seed, options={"index": 0})[0] for seed in range(12)]
-    assert set(openings) == {
-        "Cancel an order.",
-        "I want to cancel an order. My email address is ines.castro@example.com. The order is #1042. "
-        "The reason is: ordered by mistake.",
-    }
 
 
 def test_folder_without_tasks_is_refused(tmp_path: Path) -> None:

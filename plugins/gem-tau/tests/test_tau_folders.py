@@ -24,11 +24,9 @@ def test_a_folder_of_tau_bench(tmp_path: Path) -> None:
     assert (task.instruction, task.outputs) == ("You are Ann.", ("30.1",))
     assert task.actions == (Action("cancel_pending_order", {"order_id": "#W1", "reason": "no longer needed"}),)
     assert (task_set.policy, len(task_set.tools), task_set.domain.name) == ("Be kind.", 16, "tau-retail")
-
-
-def test_tools_are_described_by_the_folder_where_it_does(tmp_path: Path) -> None:
-    """They are the benchmark's data."""
-    (write_tau(tmp_path) / "tools.json").write_text('[{"type": "function", "function": {"name": "think"}}]')
+    (tmp_path / "tools.json").write_text(
+        '[{"type": "function", "function": {"name": "think"}}]'
+    )  # which the folder's own descriptions replace
     assert [tool["function"]["name"] for tool in read_folder(tmp_path).tools] == ["think"]
 
 
@@ -105,21 +103,6 @@ def test_tasks_of_tau2_bench_that_cannot_be_judged_are_left_out_and_named(tmp_pa
     }
 
 
-def test_tasks_of_one_id_are_read_or_left_out_each_by_itself(tmp_path: Path) -> None:
-    """The reason of one is not that of the other."""
-    judged = tau2_task("a", nl_assertions=["It is polite."], reward_basis=["NL_ASSERTION"])
-    task_set = read_folder(write_tau2(tmp_path, tau2_task("a", CANCEL), judged))
-    assert ([task.id for task in task_set.tasks], list(task_set.left_out)) == (["a"], ["a"])
-
-
-def test_a_folder_that_is_not_there_or_has_no_data(tmp_path: Path) -> None:
-    """The error says what a folder should have."""
-    with pytest.raises(DatasetError, match=r"there is no folder .*nowhere; a folder of tau-bench's retail has orders"):
-        read_folder(tmp_path / "nowhere")
-    with pytest.raises(DatasetError, match=r"has neither orders\.json nor db\.json; a folder of tau-bench's retail"):
-        read_folder(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("file", "text", "expected"),
     [
@@ -152,8 +135,11 @@ def test_a_malformed_file_is_named(tmp_path: Path, file: str, text: str | bytes 
     assert str(caught.value).removeprefix(str(tmp_path)).lstrip("/ ").startswith(expected)
 
 
-def test_a_split_that_a_folder_does_not_have(tmp_path: Path) -> None:
+def test_a_split_or_data_that_a_folder_does_not_have(tmp_path: Path) -> None:
     """The error names those that it has."""
+    for folder, said in ((tmp_path / "nowhere", "no folder"), (tmp_path, "neither orders.json nor db.json")):
+        with pytest.raises(DatasetError, match=said):
+            read_folder(folder)
     with pytest.raises(DatasetError, match=r"has no split 'train'; it has: test$"):
         read_folder(write_tau(tmp_path / "one"), split="train")
     with pytest.raises(DatasetError, match=r"has no split 'train'; it has: test$"):

@@ -43,12 +43,6 @@ def test_each_output_must_be_in_something_that_was_said(tmp_path: Path, said: li
     assert reward(task_set, task_set.tasks[0], fork(task_set.database), said).value == expected
 
 
-def test_a_comma_in_an_output_is_never_found(tmp_path: Path) -> None:
-    """Since only the messages lose theirs: as in the original."""
-    task_set = read_folder(write_tau(tmp_path, tau_task(outputs=("1,234",))))
-    assert reward(task_set, task_set.tasks[0], fork(task_set.database), ["1,234"]).value == 0.0
-
-
 def test_tau2_bench_multiplies_what_its_basis_names(tmp_path: Path) -> None:
     """Reference actions are compared with the calls, by the arguments that are named; by all where none are."""
     written = tau2_task("a", MOVE, communicate_info=["never said"], reward_basis=["DB", "ACTION"])

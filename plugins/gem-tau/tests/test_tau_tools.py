@@ -129,73 +129,60 @@ def test_what_is_looked_up(shop: Shop) -> None:
     assert shop("transfer_to_human_agents", summary="hm") == "Transfer successful"
 
 
-REFUSALS: list[tuple[str, dict[str, Any], str, str]] = [
-    ("get_order_details", {"order_id": "W1"}, "order not found", "Order not found"),
-    ("get_product_details", {"product_id": "x"}, "product not found", "Product not found"),
-    ("find_user_id_by_email", {"email": "x"}, "user not found", "User not found"),
+def swap(**changes: Any) -> dict[str, Any]:
+    """Return arguments of an exchange in the delivered order."""
+    return {"order_id": "#W3", "item_ids": ["red"], "new_item_ids": [], "payment_method_id": "card_1", **changes}
+
+
+EXCHANGE, RETURN = "exchange_delivered_order_items", "return_delivered_order_items"
+PENDING: dict[str, Any] = {"order_id": "#W2", "payment_method_id": "card_1"}
+BACK: dict[str, Any] = {"order_id": "#W3", "item_ids": ["red"]}
+REFUSALS: list[tuple[str, dict[str, Any], str]] = [
+    ("get_order_details", {"order_id": "W1"}, "order not found"),
+    ("get_product_details", {"product_id": "x"}, "product not found"),
+    ("find_user_id_by_email", {"email": "x"}, "user not found"),
+    ("cancel_pending_order", {"order_id": "#W3", "reason": "lost"}, "non-pending order cannot be cancelled"),
+    ("cancel_pending_order", {"order_id": "#W1", "reason": "bored"}, "invalid reason"),
+    (EXCHANGE, swap(new_item_ids=["gone"]), "new item gone not found or available"),
     (
-        "cancel_pending_order",
-        {"order_id": "#W3", "reason": "no longer needed"},
-        "non-pending order cannot be cancelled",
-        "Non-pending order cannot be cancelled",
-    ),
-    ("cancel_pending_order", {"order_id": "#W1", "reason": "bored"}, "invalid reason", "Invalid reason"),
-    (
-        "exchange_delivered_order_items",
-        {"order_id": "#W3", "item_ids": ["red", "red"], "new_item_ids": [], "payment_method_id": "card_1"},
-        "red not found",
-        "Number of red not found.",
-    ),
-    (
-        "exchange_delivered_order_items",
-        {"order_id": "#W3", "item_ids": ["red"], "new_item_ids": ["gone"], "payment_method_id": "card_1"},
-        "new item gone not found or available",
-        "New item gone not found or available",
-    ),
-    (
-        "exchange_delivered_order_items",
-        {"order_id": "#W3", "item_ids": ["wool"], "new_item_ids": ["silk"], "payment_method_id": "gift_card_1"},
+        EXCHANGE,
+        swap(item_ids=["wool"], new_item_ids=["silk"], payment_method_id="gift_card_1"),
         "insufficient gift card balance to pay for the price difference",
-        "Insufficient gift card balance to pay for the price difference",
     ),
     (
         "modify_pending_order_items",
-        {"order_id": "#W2", "item_ids": ["red"], "new_item_ids": [], "payment_method_id": "card_1"},
+        {**PENDING, "item_ids": ["red"], "new_item_ids": []},
         "the number of items to be exchanged should match",
-        "The number of items to be exchanged should match",
     ),
     (
         "modify_pending_order_payment",
-        {"order_id": "#W2", "payment_method_id": "card_1"},
+        PENDING,
         "the new payment method should be different from the current one",
-        "The new payment method should be different from the current one",
     ),
-    (
-        "return_delivered_order_items",
-        {"order_id": "#W3", "item_ids": ["red"], "payment_method_id": "paypal_1"},
-        "payment method should be either the original payment method or a gift card",
-        "Payment method should be the original payment method",
-    ),
-    (
-        "return_delivered_order_items",
-        {"order_id": "#W3", "item_ids": ["red"], "payment_method_id": "card_2"},
-        "payment method not found",
-        "Payment method not found",
-    ),
-    ("calculate", {"expression": "a"}, "invalid characters in expression", "Invalid characters in expression"),
-    ("calculate", {"expression": "1/0"}, "division by zero", "division by zero"),
+    (RETURN, {**BACK, "payment_method_id": "card_2"}, "payment method not found"),
+    ("calculate", {"expression": "a"}, "invalid characters in expression"),
 ]
 
 
-@pytest.mark.parametrize(("name", "arguments", "tau", "tau2"), REFUSALS)
+@pytest.mark.parametrize(("name", "arguments", "words"), REFUSALS)
 def test_refusals_are_worded_as_in_the_benchmarks(
-    shop: Shop, tmp_path: Path, name: str, arguments: dict[str, Any], tau: str, tau2: str
+    shop: Shop, tmp_path: Path, name: str, arguments: dict[str, Any], words: str
 ) -> None:
-    """And change nothing."""
+    """In tau2-bench with a capital letter; and change nothing."""
     shop2 = Shop(read_folder(write_tau2(tmp_path / "2")))
-    for each, expected in ((shop, tau), (shop2, tau2)):
+    for each, expected in ((shop, words), (shop2, words[0].upper() + words[1:])):
         assert each(name, **arguments) == f"Error: {expected}"
         assert each.database == each.task_set.database
+
+
+def test_some_refusals_of_tau2_bench_are_its_own(shop: Shop, shop2: Shop) -> None:
+    twice, paypal = swap(item_ids=["red", "red"]), {**BACK, "payment_method_id": "paypal_1"}
+    assert shop(EXCHANGE, **twice) == "Error: red not found"
+    assert shop2(EXCHANGE, **twice) == "Error: Number of red not found."
+    original = "ayment method should be either the original payment method or a gift card"
+    assert shop(RETURN, **paypal) == f"Error: p{original}"
+    assert shop2(RETURN, **paypal) == "Error: Payment method should be the original payment method"
+    assert shop("calculate", expression="1/0") == shop2("calculate", expression="1/0") == "Error: division by zero"
 
 
 def test_an_address_that_is_no_text_is_refused_in_tau2_bench_only(shop: Shop, shop2: Shop) -> None:
@@ -239,15 +226,6 @@ def test_wrong_arguments_are_told_as_the_originals_tell_them(shop: Shop, shop2: 
     assert shop2("cancel_pending_order", order_id="#W1") == f"Error: RetailTools.cancel_pending_order() {missing}"
     assert shop("fly") == "Unknown action fly"
     assert shop2("fly") == "Error: Tool 'fly' not found."
-
-
-def test_deeply_nested_arguments_are_refused(shop: Shop) -> None:
-    """They would make the database too deep to be hashed."""
-    deep: Any = "x"
-    for _ in range(900):
-        deep = [deep]
-    answer = shop("modify_user_address", user_id="ann_lee_1", **{**WORK, "city": deep})
-    assert answer == "Error: the arguments are nested more than 20 levels deep"
 
 
 def booking(**changes: Any) -> dict[str, Any]:
@@ -331,3 +309,12 @@ def test_flights_are_found_and_certificates_sent(airline: Shop) -> None:
     sent = airline("send_certificate", user_id="ann_lee_1", amount=70)
     assert sent == "Certificate certificate_3221322 added to user ann_lee_1 with amount 70."
     assert airline.balance("certificate_3221322") == 70.0
+
+
+def test_deeply_nested_arguments_are_refused(shop: Shop) -> None:
+    """They would make the database too deep to be hashed."""
+    deep: Any = "x"
+    for _ in range(900):
+        deep = [deep]
+    answer = shop("modify_user_address", user_id="ann_lee_1", **{**WORK, "city": deep})
+    assert answer == "Error: the arguments are nested more than 20 levels deep"
