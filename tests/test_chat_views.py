@@ -132,7 +132,7 @@ def test_a_context_that_overflows_truncates_and_is_scored() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Concat(CountdownEnv(), max_tokens=3, count_tokens=words).reset(), "4 tokens, and max_tokens is 3"),
+        (lambda: Concat(CountdownEnv(), max_tokens=3, count_tokens=words).reset(), "which is 3"),
         (lambda: Concat(EchoEnv(), max_tokens=3), "count_tokens"),
         (lambda: Concat(EchoEnv(), max_tokens=0, count_tokens=words), "max_tokens"),
         (lambda: Concat(EchoEnv(), max_turns="3"), "max_turns"),  # type: ignore[arg-type]  # that is the point

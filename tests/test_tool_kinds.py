@@ -21,10 +21,10 @@ def json_call(name: str, **arguments: Any) -> str:
 
 
 def test_two_tools_of_one_name_are_refused(toolbox: Path) -> None:
-    """Calls could not be told apart; the error says where both come from."""
-    with pytest.raises(ArgumentError, match="'note': an instance of Notebook and an instance of Notebook"):
+    """Calls could not be told apart."""
+    with pytest.raises(ArgumentError, match="one name, 'note'"):
         ToolEnv(EchoEnv(), [Notebook(), Notebook()])
-    with pytest.raises(ArgumentError, match="'look': one of 'box' and one of 'box'"):
+    with pytest.raises(ArgumentError, match="one name, 'look'"):
         ToolEnv(EchoEnv(), ["box", "box"])
     renamed = ToolEnv(EchoEnv(), ["box", ("box", {"prefix": "my_"})])
     assert list(renamed.tools) == ["look", "count", "my_look", "my_count"]

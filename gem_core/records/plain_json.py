@@ -155,18 +155,3 @@ def _marked(value: dict[str, Any], images: ImageFolder | None) -> Any:
     if mark == _PLAIN_KEY:
         return {key: from_plain(part, images) for key, part in content.items()}
     return value if images is None else images.read(content)
-
-
-def is_deep(value: object, limit: int = 100) -> bool:
-    """Tell whether lists and objects are nested more than ``limit`` levels deep, which recursive code cannot follow."""
-    level = [value]
-    for _ in range(limit):
-        level = [
-            part
-            for item in level
-            if isinstance(item, (dict, list))
-            for part in (item.values() if isinstance(item, dict) else item)
-        ]
-        if not level:
-            return False
-    return True

@@ -15,6 +15,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, cast
 
@@ -27,7 +28,6 @@ from gem_core.parsing import (
     without_end_tokens,
 )
 from gem_core.records.conversation import call_id
-from gem_core.records.plain_json import is_deep
 from gem_core.registry.entry_points import load_entry_point
 from gem_core.registry.lookup import registry
 from gem_core.registry.specs import CallFormatSpec
@@ -36,6 +36,8 @@ from gem_core.tools.tool import CALL_CLOSE, CALL_OPEN, Tool, ToolCall, first_cal
 
 Tools = Mapping[str, Tool]
 
+_MOST_DEEP = 100
+"""Levels of lists and objects that arguments may have: more cannot be recorded."""
 _MOST_OPENINGS = 20
 """Openings of one format that are tried if they turn out not to begin a call."""
 
@@ -219,13 +221,18 @@ def json_at(text: str, at: int) -> tuple[Any, int]:
     Raises:
         ValueError: There is none.
     """
-    try:
+    value, end, depth = None, at, _MOST_DEEP + 1
+    with suppress(RecursionError):
         value, end = _DECODER.raw_decode(text, cast("re.Match[str]", _BLANKS.match(text, at)).end())
-    except RecursionError:
-        value, end = None, -1
-    if end < 0 or is_deep(value):
+        depth = _depth(value)
+    if depth > _MOST_DEEP:
         raise ValueError("it is nested too deeply")
     return value, end
+
+
+def _depth(value: Any) -> int:
+    parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return 1 + max(map(_depth, parts), default=0)
 
 
 def _loaded(text: str) -> tuple[Any, str | None]:

@@ -34,34 +34,30 @@ def tools_by_name(choices: Iterable[ToolChoice]) -> dict[str, Tool]:
         ArgumentError: Two tools have one name, or something is no tool.
     """
     tools: dict[str, Tool] = {}
-    origins: dict[str, str] = {}
     for choice in choices:
-        origin, found = _resolved(choice)
-        for tool in found:
+        for tool in _made(choice):
             if tool.name in tools:
                 raise ArgumentError(
-                    f"two tools have one name, {tool.name!r}: {origins[tool.name]} and {origin}; calls could not be "
-                    "told apart, so leave one out, or give it another name by its options"
+                    f"two tools have one name, {tool.name!r}; calls could not be told apart, so leave one out, or give "
+                    "it another name by its options"
                 )
-            tools[tool.name], origins[tool.name] = tool, origin
+            tools[tool.name] = tool
     return tools
 
 
-def _resolved(choice: ToolChoice) -> tuple[str, list[Tool]]:
-    """Return where tools come from, in words, and the tools."""
+def _made(choice: ToolChoice) -> list[Tool]:
     if isinstance(choice, Tool):
-        return f"an instance of {type(choice).__name__}", [choice]
+        return [choice]
     maker, options = parse_choice(choice, "a tool is a Tool, a name, or (name, {options})", _is_maker)
     if isinstance(maker, type):
         check_arguments(maker, (), options, f"tool {maker.__name__!r}")
-        made, origin = maker(**options), f"an instance of {maker.__name__}"
-    else:
-        made, origin = construct(registry().tool(maker), **options), f"one of {maker!r}"
+        return [maker(**options)]
+    made = construct(registry().tool(maker), **options)
     found = list(made) if isinstance(made, Sequence) and not isinstance(made, str) else [made]
     for tool in found:
         if not isinstance(tool, Tool):
             raise ArgumentError(f"the entry point of tool {maker!r} returned {type(tool).__name__}, not a Tool")
-    return origin, found
+    return found
 
 
 def _is_maker(choice: object) -> bool:

@@ -76,10 +76,8 @@ class ObservationView(Wrapper):
         info["view"] = self.registered_as[0] if self.registered_as else type(self).__name__
         self._history = History(task, info.get("system"))
         shown = self.show(self._history)
-        if self.max_tokens is not None and self._length(shown) > self.max_tokens:
-            raise ArgumentError(
-                f"the task alone has {self._length(shown)} tokens, and max_tokens is {self.max_tokens}; raise it"
-            )
+        if self._is_too_long(shown):
+            raise ArgumentError(f"the task alone has more tokens than max_tokens, which is {self.max_tokens}; raise it")
         return shown, info
 
     def after_step(self, action: str, result: StepResult) -> StepResult:
@@ -91,19 +89,21 @@ class ObservationView(Wrapper):
         if self.max_turns is not None:
             del turns[: -self.max_turns]
         shown = self.show(self._history)
-        if self.max_tokens is not None:
-            while (too_long := self._length(shown) > self.max_tokens) and len(turns) > 1:
-                del turns[0]
-                shown = self.show(self._history)
-            if too_long:
-                info["context_overflow"] = True
-                truncated = truncated or not terminated
+        while (too_long := self._is_too_long(shown)) and len(turns) > 1:
+            del turns[0]
+            shown = self.show(self._history)
+        if too_long:
+            info["context_overflow"] = True
+            truncated = truncated or not terminated
         return shown, reward, terminated, truncated, info
 
-    def _length(self, observation: Observation) -> int:
+    def _is_too_long(self, observation: Observation) -> bool:
+        if self.max_tokens is None:
+            return False
         text = "\n".join(texts_of(observation))
         encode = getattr(self.count_tokens, "encode", None)
-        return len(encode(text)) if encode is not None else int(self.count_tokens(text))
+        length = len(encode(text)) if encode is not None else int(self.count_tokens(text))
+        return length > self.max_tokens
 
 
 class Latest(ObservationView):
