@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 import gem_core as gem
-from gem_core.errors import RegistrationError
 from gem_core.records.files import read_episodes
 from gem_core.registry.lookup import Registry
 
@@ -95,10 +94,3 @@ def test_folder_of_no_environment_or_of_several_is_an_error_that_says_what_there
     own_registry.add(record("riddle:Other"))
     both = "gem: the folder 'riddles' belongs to riddle:Folder and riddle:Other; give the id of one of them\n"
     assert run_gem("play", "riddles").err == both
-
-
-@pytest.mark.parametrize("fields", [{"folder_markers": "a"}, {"folder_markers": ("a/b",)}, {"folder_keyword": "a b"}])
-def test_wrong_fields_are_refused(fields: dict[str, Any]) -> None:
-    """As those of any record."""
-    with pytest.raises(RegistrationError, match=rf"^riddle:Folder: {next(iter(fields))} must "):
-        record(**fields)

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from xml.etree import ElementTree
 
 import pytest
@@ -15,32 +11,18 @@ import pytest
 from gem_core.registry.known_distributions import KNOWN_DISTRIBUTIONS
 
 DOCS = Path(__file__).parent.parent / "docs"
-SCRIPTS = Path(__file__).parent.parent / "scripts"
 PLUGINS = [name for name, offered in KNOWN_DISTRIBUTIONS.items() if "namespace" in offered]
 for plugin in PLUGINS:
     pytest.importorskip(plugin.replace("-", "_"), reason=f"the gallery shows all plugins; install plugins/{plugin}")
+gallery, gallery_drawing, gallery_sections = map(
+    pytest.importorskip, ("gallery", "gallery_drawing", "gallery_sections")
+)
 
 
 @pytest.fixture(scope="module")
-def gallery() -> Iterator[ModuleType]:
-    """Return the script as a module."""
-    sys.path.insert(0, str(SCRIPTS))
-    try:
-        yield import_module("gallery")
-    finally:
-        sys.path.remove(str(SCRIPTS))
-
-
-@pytest.fixture(scope="module")
-def rendered(gallery: ModuleType) -> dict[str, str]:
+def rendered() -> dict[str, str]:
     """Return what the script writes."""
-    pages: dict[str, str] = gallery.render()
-    return pages
-
-
-def drawing() -> ModuleType:
-    """Return the module that draws."""
-    return import_module("gallery_drawing")
+    return gallery.render()
 
 
 def test_pages_are_what_the_script_writes(rendered: dict[str, str]) -> None:
@@ -55,17 +37,6 @@ def test_pages_are_what_the_script_writes(rendered: dict[str, str]) -> None:
     assert [path for path, text in rendered.items() if there[path] != text] == []
 
 
-def test_links_and_anchors_of_pages_lead_somewhere(rendered: dict[str, str]) -> None:
-    """Pages, pictures, and headings of the page on differences."""
-    for path, text in rendered.items():
-        for target, anchor in re.findall(r"\]\((?!http)([^)#]+)(?:#([^)]*))?\)", text) if path.endswith(".md") else ():
-            found = (DOCS / path).parent / target
-            assert found.exists(), f"{path}: {target}"
-            headings = re.findall(r"^#+ (.+)$", found.read_text(encoding="utf-8"), re.MULTILINE) if anchor else []
-            slugs = [re.sub(r"[^\w\s-]", "", heading).lower().replace(" ", "-") for heading in headings]
-            assert not anchor or anchor in slugs, f"{path}: {anchor}"
-
-
 def test_pictures_are_small_and_well_formed(rendered: dict[str, str]) -> None:
     """At most 40 kB each, and all of the gallery 3 MB; none loads anything."""
     pictures = {path: text for path, text in rendered.items() if path.endswith(".svg")}
@@ -77,7 +48,7 @@ def test_pictures_are_small_and_well_formed(rendered: dict[str, str]) -> None:
     assert sum(len(text.encode()) for text in rendered.values()) <= 3_000_000
 
 
-def test_text_of_an_episode_cannot_break_a_page_or_a_picture(gallery: ModuleType) -> None:
+def test_text_of_an_episode_cannot_break_a_page_or_a_picture() -> None:
     """A response is untrusted: marks of HTML, fences and control characters are shown as text."""
     hostile = "</code></pre><script>x</script>\n```python\n&amp;\x00\x1b[31m"
     episode = {
@@ -91,8 +62,8 @@ def test_text_of_an_episode_cannot_break_a_page_or_a_picture(gallery: ModuleType
         "returns": {"": 0.0},
         "success": {"": False},
     }
-    told = "\n".join(import_module("gallery_sections").transcript(episode))
+    told = "\n".join(gallery_sections.transcript(episode))
     assert "<script" not in told
     assert "```" not in told
-    picture = drawing().card("a:B", "random", [drawing().Frame(hostile, hostile, hostile, 0.0, hostile)])
+    picture = gallery_drawing.card("a:B", "random", [gallery_drawing.Frame(hostile, hostile, hostile, 0.0, hostile)])
     assert [node for node in ElementTree.fromstring(picture).iter() if node.tag.endswith("script")] == []

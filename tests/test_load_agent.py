@@ -30,14 +30,6 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "agent_with_options"
 
 
-def test_agents_are_found_by_name_and_by_module(module: str) -> None:
-    """A registered one, a function, and a class, which is called with the options."""
-    assert callable(load_agent("random"))
-    assert load_agent(f"{module}:act")("x", CONTEXT) == "a"
-    assert load_agent(f"{module}:Mine")("x", CONTEXT) == "1.0"
-    assert load_agent(f"{module}:Mine", temperature=0.5)("x", CONTEXT) == "0.5"
-
-
 @pytest.mark.parametrize(
     ("name", "message"),
     [
@@ -62,5 +54,6 @@ def test_unknown_agents_name_the_nearest(name: str, message: str) -> None:
 )
 def test_an_option_that_is_not_taken_is_refused(module: str, name: str, accepted: str) -> None:
     """With what would be."""
+    assert load_agent(f"{module}:Mine", temperature=0.5)("x", CONTEXT) == "0.5"
     with pytest.raises(ArgumentError, match=rf"{name}.*{accepted}"):
         load_agent(name, tempo=1)

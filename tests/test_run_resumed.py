@@ -109,16 +109,6 @@ def test_a_run_that_fails_says_how_to_go_on_as_well(run_gem: RunGem) -> None:
     assert error.startswith("gem: ValueError: mine (raising.py:2, in act: ")
 
 
-def test_a_step_that_takes_too_long_is_an_error_of_its_episode(run_gem: RunGem) -> None:
-    """What runs in place is put into a process that can be killed."""
-    gem.register("slow:Stuck-v0", "stuck_env:StuckEnv")
-    Path("saying.py").write_text("def act(observation): return 'a'\n")
-    done = run_gem("run", "slow:Stuck-v0", "-n", "2", "--step-timeout", "0.5", "-a", "saying:act", "-o", "a.jsonl")
-    assert done.code == 1
-    error = {"kind": "timeout", "message": "a step or reset took longer than step_timeout, 0.5 s"}
-    assert [episode.error for episode in by_key("a.jsonl")] == [error] * 2
-
-
 def test_an_exception_in_an_environment_names_file_and_line(run_gem: RunGem) -> None:
     """In the record, and on standard error for the first that failed, wherever the environment ran."""
     Path("fragile_env.py").write_text(

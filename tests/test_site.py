@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
-from types import ModuleType
 
+import api_reference
+import check_site
+import command_reference
 import pytest
+import site_hooks
 
 ROOT = Path(__file__).parent.parent
-
-
-def script(name: str) -> ModuleType:
-    """Return one of the scripts as a module."""
-    spec = importlib.util.spec_from_file_location(f"{name}_script", ROOT / "scripts" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_commands_are_described_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -29,14 +19,15 @@ def test_commands_are_described_as_they_are(monkeypatch: pytest.MonkeyPatch) -> 
         pytest.importorskip(plugin.name, reason="the page has the commands of all plugins")
     monkeypatch.setenv("COLUMNS", "40")
     page = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
-    assert page == script("command_reference").page()
+    assert page == command_reference.page()
 
 
 def test_packages_are_described_as_they_are() -> None:
     """Each package has its page, and none is left over; `make docs-pages` writes them again."""
-    folder, reference = ROOT / "docs" / "reference", script("api_reference")
+    folder = ROOT / "docs" / "reference"
     pages = {path.name: path.read_text(encoding="utf-8") for path in folder.glob("*.md")}
-    assert {name: text for name, text in pages.items() if name not in reference.FROM_ELSEWHERE} == reference.pages()
+    made = {name: text for name, text in pages.items() if name not in api_reference.FROM_ELSEWHERE}
+    assert made == api_reference.pages()
 
 
 @pytest.mark.parametrize(
@@ -51,15 +42,13 @@ def test_packages_are_described_as_they_are() -> None:
 )
 def test_a_link_is_rewritten_for_the_site(place: str, target: str, on_site: str) -> None:
     """What works between files of the repository works between pages of the site."""
-    hooks = script("site_hooks")
-    assert hooks.link_on_site(target, place, hooks.page_of(place)) == on_site
+    assert site_hooks.link_on_site(target, place, site_hooks.page_of(place)) == on_site
 
 
 def test_a_link_in_code_is_left_alone() -> None:
     """Only links of the text are rewritten, also those whose text is code."""
-    hooks = script("site_hooks")
     text = "[`a`](x.md) `[b](x.md)`\n\n```text\n[c](x.md)\n```\n"
-    assert hooks.rewrite_links(text, lambda target: "y.md") == text.replace("[`a`](x.md)", "[`a`](y.md)")
+    assert site_hooks.rewrite_links(text, lambda target: "y.md") == text.replace("[`a`](x.md)", "[`a`](y.md)")
 
 
 def test_links_that_lead_nowhere_are_found(tmp_path: Path) -> None:
@@ -72,7 +61,7 @@ def test_links_that_lead_nowhere_are_found(tmp_path: Path) -> None:
         '<script src="https://example.org/s.js"></script>',
         encoding="utf-8",
     )
-    assert script("check_site").check(tmp_path) == [
+    assert check_site.check(tmp_path) == [
         "index.html: b/: no such file",
         "index.html: a/index.html#there: no such anchor",
         "index.html: https://example.org/s.js: loaded from another host",

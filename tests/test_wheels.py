@@ -12,8 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from gem_core.parsing import extract_code_blocks
-
 pytestmark = pytest.mark.thorough
 pytest.importorskip("hatchling", reason="it builds the wheels")
 
@@ -85,18 +83,6 @@ def test_every_distribution_has_a_wheel_with_what_it_needs(wheels: Path) -> None
         assert any(file.endswith(".dist-info/licenses/LICENSE") for file in files), name
         assert f"{package}/py.typed" in files
         assert {file.split("/")[0] for file in files} == {package, f"{package}-{fields['Version']}.dist-info"}
-
-
-def test_the_example_of_the_readme_runs_from_the_wheels(python: Path, tmp_path: Path) -> None:
-    """Each block of Python, in an empty folder."""
-    blocks = extract_code_blocks((ROOT / "README.md").read_text(encoding="utf-8"), "python")
-    assert blocks
-    for number, block in enumerate(blocks):
-        file = tmp_path / f"example{number}.py"
-        file.write_text(block.code, encoding="utf-8")
-        done = run(python, "-W", "error", file, cwd=tmp_path)
-        assert (done.returncode, done.stderr) == (0, "")
-        assert done.stdout
 
 
 def test_every_plugin_is_found_in_its_wheel(python: Path, tmp_path: Path) -> None:

@@ -50,22 +50,35 @@ class RaisingEnv(GoodEnv):
         return super().step(str(number))
 
 
-@breaks("episode")
-class OldStepEnv(GoodEnv):
-    """Its step returns four values, as in the old Gym."""
+class Altered(GoodEnv):
+    """The good environment, whose results of a step or a reset are changed."""
+
+    def __init__(self, step: Any = None, reset: Any = None) -> None:
+        super().__init__()
+        self.alter_step, self.alter_reset = step or (lambda *result: result), reset or (lambda *result: result)
 
     def step(self, action: str) -> Any:
-        observation, reward, terminated, _, info = super().step(action)
-        return observation, reward, terminated, info
+        return self.alter_step(*super().step(action))
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        return self.alter_reset(*super().reset(seed, options))
 
 
-@breaks("types", "hostile-actions", "gymnasium")
-class NanRewardEnv(GoodEnv):
-    """Its reward is not a number."""
-
-    def step(self, action: str) -> Any:
-        observation, _, *rest = super().step(action)
-        return observation, float("nan"), *rest
+# Four values, as in the old Gym.
+breaks("episode")(Altered(lambda seen, reward, over, cut_off, info: (seen, reward, over, info)))
+breaks("types", "hostile-actions", "gymnasium")(Altered(lambda seen, reward, *rest: (seen, float("nan"), *rest)))
+breaks("info")(Altered(reset=lambda seen, info: (seen, {**info, "range": (1, 10)})))
+breaks("info")(Altered(lambda *rest: (*rest[:4], {**rest[4], **({"correct": "yes"} if "correct" in rest[4] else {})})))
+breaks("suffix")(
+    Altered(
+        lambda *rest: (*rest[:4], {**rest[4], "suffix": "Nothing new."}),
+        lambda seen, info: (seen, {**info, "suffix": "Nothing new."}),
+    )
+)
+# Cut off by the first answer that it cannot read, which Gymnasium does not allow.
+breaks("gymnasium")(
+    Altered(lambda seen, won, over, _, info: (seen, won, over, not over and info["parsed_action"] is None, info))
+)
 
 
 class _UniqueText(Text):
@@ -80,33 +93,6 @@ class UniqueSpaceEnv(GoodEnv):
     def __init__(self) -> None:
         super().__init__()
         self.observation_space = _UniqueText()
-
-
-@breaks("info")
-class TupleInfoEnv(GoodEnv):
-    """Its first info holds a tuple."""
-
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-        observation, info = super().reset(seed, options)
-        return observation, {**info, "range": (1, self.limit)}
-
-
-@breaks("info")
-class WordyCorrectEnv(GoodEnv):
-    """It says in words whether the answer was correct."""
-
-    def step(self, action: str) -> Any:
-        *result, info = super().step(action)
-        return *result, ({**info, "correct": "yes"} if "correct" in info else info)
-
-
-@breaks("suffix")
-class WrongSuffixEnv(GoodEnv):
-    """Its suffix is not the end of the observation."""
-
-    def answer(self, feedback: str) -> tuple[str, dict[str, Any]]:
-        observation, info = super().answer(feedback)
-        return observation, {**info, "suffix": "Nothing new."}
 
 
 @breaks("fresh-objects", may=("gymnasium",))
@@ -146,15 +132,6 @@ class OddConcurrencyEnv(GoodEnv):
     """Its concurrency is none of the four."""
 
     concurrency = "sometimes"  # type: ignore[assignment]
-
-
-@breaks("gymnasium")
-class FirstStepTruncatesEnv(GoodEnv):
-    """It is cut off by the first answer that it cannot read, which Gymnasium does not allow."""
-
-    def step(self, action: str) -> Any:
-        observation, reward, terminated, _, info = super().step(action)
-        return observation, reward, terminated, not terminated and info["parsed_action"] is None, info
 
 
 @breaks("determinism", "gymnasium")
