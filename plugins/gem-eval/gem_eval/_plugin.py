@@ -18,7 +18,7 @@ _COMMANDS = {
     "score": ("scoring.command", "Grade the episodes of a run again, without a model."),
     "replay": ("replaying.command", "Replay a recorded episode, and go on from any of its turns."),
     "report": ("reporting.command", "Write the scores of runs, with intervals and plots, as one page."),
-    "export": ("exporting.command", "Write runs as CSV, Parquet, JSON lines, or logs of inspect_ai."),
+    "export": ("exporting.command", "Write runs as CSV, JSON lines, or logs of inspect_ai."),
 }
 _WRAPPERS = {
     "tool_429": ("tool_faults:Tool429", "Answer some calls of tools with HTTP status 429."),

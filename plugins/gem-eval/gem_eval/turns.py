@@ -264,16 +264,10 @@ def _reported(turn: Transition) -> str:
     action = turn.action
     usage = action.usage or {}
     prompt, sampled = usage.get("prompt_tokens"), usage.get("completion_tokens")
-    if prompt is None and isinstance(action.prompt_token_ids, list):
-        prompt = len(action.prompt_token_ids)
-    if sampled is None and isinstance(action.token_ids, list):
-        sampled = len(action.token_ids)
-    known = [value for value in action.logprobs or () if isinstance(value, int | float)]
     facts = [
         _words(action.model),
         "" if prompt is None else f"{_words(prompt)} prompt tokens",
         "" if sampled is None else f"{_words(sampled)} sampled tokens",
-        f"mean log-probability {sum(known) / len(known):.3f}" if known else "",
         "" if action.finish_reason is None else f"finish reason {_words(action.finish_reason)}",
     ]
     return " · ".join(fact for fact in facts if fact)

@@ -172,14 +172,6 @@ class OwnLucky(OwnClass):
         return f"I say {self.action_random.integers(1000)}"
 
 
-class OwnReward(OwnClass):
-    """Pays for any response, and tells nothing of success."""
-
-    def step(self, action: str) -> Any:
-        """Pay."""
-        return gem.TERMINAL_STATE, 1.0, True, False, {}
-
-
 class TwoTries(OwnClass):
     """Two tries; a wrong answer is told the right one before the second."""
 
@@ -212,19 +204,6 @@ class Corrects(TwoTries):
         """Grade; tell."""
         _, *rest = super().step(action)
         return f"No, people live in {CAPITALS[self.country]} there.", *rest
-
-
-class CorrectsWithoutGold(Corrects):
-    """Has no gold answer."""
-
-    def step(self, action: str) -> Any:
-        """Grade; tell."""
-        _, *rest = super().step(action)
-        return f"No: {CAPITALS[self.country]}", *rest
-
-    def gold_action(self) -> str | None:  # type: ignore[override]
-        """Return nothing."""
-        return None
 
 
 class TellingTool(gem.DatasetEnv):
@@ -352,9 +331,7 @@ def planted() -> dict[str, tuple[Any, dict[str, Any], str]]:
         "own-constant": (OwnGrading, {"solves": lambda action: "{yes}" in action}, "constant"),
         "own-lucky": (OwnLucky, {}, "random"),
         "corrects": (Corrects, {}, "leak"),
-        "corrects-without-gold": (CorrectsWithoutGold, {}, "leak"),
         "tool": (TellingTool, {"rows": ROWS}, "leak"),
-        "own-reward": (OwnReward, {}, "null"),
         "crash": (OwnGrading, {"solves": lambda action: action.split("\\boxed{")[1] == "?"}, "crash"),
         "two-tries": (TwoTries, {}, "leak"),
         "stateful": (Stateful, {"rows": ROWS}, "nondeterministic"),

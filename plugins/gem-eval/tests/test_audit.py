@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import planted
 import pytest
@@ -12,8 +12,10 @@ import gem_core as gem
 import gem_eval
 from gem_core.cli import main
 from gem_core.errors import ArgumentError
-from gem_eval.auditing.results import EnvAudit, lower_bound, tail
 from gem_eval.auditing.texts import holds
+
+if TYPE_CHECKING:
+    from gem_eval.auditing.results import EnvAudit
 
 DEFECTS = planted.planted()
 SLOW = {"shell", "exit-code", "shell-here"}
@@ -94,7 +96,7 @@ def test_json_has_rates_and_problems(capsys: pytest.CaptureFixture[str]) -> None
     (found,) = printed["environments"]
     null = found["policies"]["null"]
     assert (null["kind"], null["episodes"], null["rate"]) == ("exploit", 25, null["solved"] / 25)
-    assert found["policies"]["gold"] == {"kind": "gold", "solved": 5, "episodes": 5, "rate": 1.0, "mean_return": 1.0}
+    assert found["policies"]["gold"] == {"kind": "gold", "solved": 5, "episodes": 5, "rate": 1.0}
     assert {"null", "echo", "hedge"} >= {problem["kind"] for problem in found["problems"] if problem["fails"]}
 
 
@@ -130,9 +132,3 @@ def test_the_same_seed_finds_the_same() -> None:
 def test_a_word_is_held_only_whole(text: str, part: str, held: bool) -> None:
     """A piece of a longer number or word is another one."""
     assert holds(text, part) is held
-
-
-def test_bounds_agree_with_published_values() -> None:
-    """Wilson's interval of 99 % for 0, 5 and 10 of 10, and a binomial tail."""
-    assert [round(lower_bound(solved, 10), 3) for solved in (0, 5, 10)] == [0.0, 0.184, 0.601]
-    assert tail(2, 3, 0.5) == 0.5

@@ -147,14 +147,6 @@ def test_wrong_arguments_are_told_in_one_line(
     assert not os.path.exists("runs")
 
 
-def test_suites_are_listed() -> None:
-    """With what they are."""
-    listed = json.loads(gem_eval("--list", "--json").stdout)
-    assert {"games", "math", "qa", "rg", "code", "terminal-sample", "tau-sample", "mcpmark-postgres", "paper"} <= {
-        suite["name"] for suite in listed
-    }
-
-
 SLOW = """
 import asyncio
 async def agent(observation):

@@ -106,25 +106,6 @@ def test_rows_are_chosen(choice: dict[str, Any], chosen: list[str]) -> None:
     assert [row.row.partition("/")[2] for row in run.rows] == chosen
 
 
-def test_a_shuffle_is_the_same_for_the_same_seed() -> None:
-    """A limit then takes a random sample."""
-    orders = [
-        {row.row for row in evaluate(suite({"id": "evaltest:Sums", "shuffle": seed, "limit": 4}), {"a": right}).rows}
-        for seed in (1, 1, 2)
-    ]
-    assert orders[0] == orders[1] != orders[2]
-
-
-def test_a_task_has_wrappers_of_its_own() -> None:
-    """Two tasks of one environment, told apart by their names."""
-    run = evaluate(
-        suite({"id": GAME, "episodes": 1}, {"id": GAME, "name": "seen", "wrappers": ["concat"], "episodes": 1}),
-        {"a": guesses},
-    )
-    worn = {row.id: [name for name, _ in run.episode(row).wrappers] for row in run.rows}
-    assert worn == {GAME: [], "seen": ["concat"]}
-
-
 def test_a_role_is_given_to_environments_that_have_it() -> None:
     """As the judge of an environment whose keyword it is."""
     gem.register("evaltest:Judged", "gem_core:DatasetEnv", rows=ROWS[:1])
@@ -313,11 +294,6 @@ def test_the_record_says_what_was_run() -> None:
     )
     assert len(info["tasks"][0]["data_sha256"]) == 64
     assert (info["seed"], info["epochs"], info["episodes"], info["status"]) == (0, 1, 1, "finished")
-
-
-def test_a_task_that_two_suites_share_is_played_once() -> None:
-    """As long as both say the same of it."""
-    assert len(evaluate(suite({"id": GAME, "episodes": 2}, {"id": GAME, "episodes": 2}), {"a": guesses}).rows) == 2
 
 
 @pytest.mark.parametrize(

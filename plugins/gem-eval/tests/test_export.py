@@ -97,17 +97,6 @@ def test_csv_holds_numbers_as_numbers_and_no_formulas(tmp_path: Path) -> None:
     assert (record["success"], record["cost"], record["seconds"]) == ("False", "0.5", "")
 
 
-def test_parquet_holds_the_same_table_with_types(run: Path, odd_run: Path, tmp_path: Path) -> None:
-    """Halves of characters, which UTF-8 cannot hold, as their codes."""
-    pq = pytest.importorskip("pyarrow.parquet")
-    export(run, run, "--to", "parquet", "--out", tmp_path / "t.parquet")
-    table = pq.read_table(tmp_path / "t.parquet")
-    assert table.column("success").to_pylist() == 2 * [row.success for row in open_run(run).rows]
-    assert str(table.schema.field("seed").type) == "int64"
-    for form in ("csv", "parquet"):
-        assert "3 episodes" in export(odd_run, "--to", form, "--texts", "--out", tmp_path / f"odd.{form}")
-
-
 def test_jsonl_is_a_file_of_gem_run(odd_run: Path, tmp_path: Path) -> None:
     """The same episodes, images and rows."""
     export(odd_run, "--to", "jsonl", "--out", tmp_path / "all.jsonl")

@@ -14,7 +14,6 @@ from click.testing import CliRunner
 from pages import Page
 
 from gem_core import Episode, Response, Transition
-from gem_core.errors import ArgumentError
 from gem_eval.comparing.comparison import compare
 from gem_eval.records import RunWriter, open_run
 from gem_eval.reporting import plots
@@ -132,12 +131,6 @@ def test_hostile_text_is_inert(tmp_path: Path) -> None:
     markdown = report(tmp_path / "run", "--format", "markdown")
     assert "<script" not in markdown.replace("\\<", "")
     assert all(line.count(" | ") == 8 for line in markdown.splitlines() if line.startswith("| "))
-
-
-def test_the_files_of_a_run_are_not_written_over(grid: Path, tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError):
-        report(grid, "--out", grid / "run.json")
-    assert "96 episodes" in report(grid, "--out", tmp_path / "r.html")
 
 
 @pytest.mark.parametrize("values", [[], [3.0], [0.0, 0.0], [-1.0, 1e9], [float("nan"), 1.0], [0.1, 0.25, 7.0]])

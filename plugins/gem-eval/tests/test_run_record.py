@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import duel
@@ -51,21 +50,6 @@ def test_a_run_is_read_back_the_same(tmp_path: Path, played: list[Episode]) -> N
     assert (first.model, first.row, first.seconds, first.turns) == ("toy", f"{ID}/{played[0].seed}", 0.5, 7)
     assert first.tokens_out == 20 * first.turns
     assert run.info == {"suite": "toy"}
-
-
-def test_a_run_takes_a_third_of_the_bytes_of_a_file_of_episodes(tmp_path: Path, played: list[Episode]) -> None:
-    """Index included."""
-    folder = recorded(tmp_path / "run", played)
-    write_episodes(tmp_path / "run.jsonl", played)
-    taken = sum(path.stat().st_size for path in folder.iterdir())
-    assert taken * 3 < (tmp_path / "run.jsonl").stat().st_size
-
-
-def test_episodes_are_json_lines_to_other_programs(tmp_path: Path, played: list[Episode]) -> None:
-    """As ``zstdcat`` prints them."""
-    path = recorded(tmp_path / "run", played) / "episodes.jsonl.zst"
-    with zstandard.open(path, "rt") as file:
-        assert [json.loads(line)["seed"] for line in file] == [episode.seed for episode in played]
 
 
 @settings(max_examples=60, deadline=None)
@@ -139,12 +123,6 @@ def test_a_row_of_wrong_types_is_damaged(tmp_path: Path, played: list[Episode], 
     run = open_run(path)
     assert (len(run.rows), run.damaged) == (7, 1)
     assert run.rows[-1].episode_return == float("inf")
-
-
-def test_episodes_of_a_file_that_were_given_no_key_are_apart(tmp_path: Path, played: list[Episode]) -> None:
-    """A file may hold several runs."""
-    write_episodes(tmp_path / "run.jsonl", [*played, *played])
-    assert len(open_run(tmp_path / "run.jsonl").rows) == 2 * len(played)
 
 
 def test_an_episode_of_several_agents_in_a_file_has_a_row(tmp_path: Path) -> None:

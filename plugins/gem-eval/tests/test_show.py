@@ -18,12 +18,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import broken, failed, hostile, maze, turn, write_all
 
-from gem_core import Episode, Response, write_episodes
+from gem_core import Episode, Response
 from gem_core.cli import main
 from gem_core.testing import check_plugin
-from gem_eval.filters import parse_comparison
-from gem_eval.records import RunWriter, open_run
-from gem_eval.show.lines import episode_lines, list_lines
+from gem_eval.records import RunWriter
+from gem_eval.show.lines import episode_lines
 from gem_eval.show.text import escaped, highlighted, one_line
 from gem_eval.turns import parts_of, turn_views
 
@@ -80,36 +79,25 @@ def test_the_list_has_a_line_for_each_episode(show) -> None:
     assert len(lines) == 6
 
 
-@pytest.mark.parametrize("width", [30, 50, 80, 120])
-def test_the_list_keeps_ids_and_outcomes_whole_in_any_width(tmp_path: Path, width: int) -> None:
-    """What matters least is left out, or each episode is a paragraph."""
-    write_episodes(tmp_path / "run.jsonl", [maze(), failed()])
-    lines = plain(list_lines(open_run(tmp_path / "run.jsonl").rows, width))
-    assert max(map(len, lines)) <= width
-    assert "\n".join(lines).count("maze:Room-v0") == 2
-    assert {"success", "failure"} <= {word for line in lines for word in re.findall(r"\w+", line)}
-
-
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
         (["--env", "ROOM"], [1, 2, 5]),
         (["--env", "*:Talk*"], [3]),
         (["--success"], [1, 5]),
-        (["--failure"], [2]),
         (["--return", ">0.25"], [1, 5]),
-        (["--errors"], [3]),
+        (["--return", "<= 0.25", "--no-errors"], [2, 4]),
+        (["--return", "!=0.75", "--errors"], [3]),
+        (["--return", "0.75"], [1, 5]),
         (["--no-errors", "--env", "a"], [1, 2, 4, 5]),
         (["--group", "g1"], [1, 2, 5]),
         (["--grep", "night FALLS."], [2]),
-        (["--grep", "where is the door"], [1, 2, 5]),
         (["--grep", "no answer in 5 s"], [3]),
         (["--grep", "\x1b[2J"], [4]),
         (["--reverse", "--limit", "2"], [5, 4]),
         (["--sort", "turns", "--reverse"], [1, 5, 2, 3, 4]),
         (["--sort", "success"], [3, 4, 2, 1, 5]),
         (["--sort", "seed", "--no-errors"], [4, 1, 2, 5]),
-        (["--sort", "env", "--limit", "1"], [3]),
     ],
 )
 def test_filters_and_order(show, arguments: list[str], expected: list[int]) -> None:
@@ -138,8 +126,7 @@ def test_one_episode_is_told_turn_by_turn(show) -> None:
             "── turn 1 of 3 ─",
             "observation\n  Find a way out",
             "reasoning\n  Where is the door?\n",
-            "response  tiny-1 · 120 prompt tokens · 34 sampled tokens · mean log-probability -0.200 · "
-            "finish reason tool_calls\n  I look around.\n",
+            "response  tiny-1 · 120 prompt tokens · 34 sampled tokens · finish reason tool_calls\n  I look around.\n",
             'tool call  python({"code": "print(6 * 7)"})\n',
             "reward  0.25\nfeedback\n  The tool says 42.\n",
             'tool: {"name": "python", "failed": false}\n',
@@ -216,21 +203,6 @@ def test_json_lists_what_fits(show) -> None:
     assert json.loads(show("2", "--json").out)["final_observation"] == "Night falls."
     assert show("--group", "none", "--json") == (0, "[]\n", "")
     assert show("--group", "none").err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("text", "holds"),
-    [
-        (">1", [0, 0, 1]),
-        (">=1", [0, 1, 1]),
-        ("<1", [1, 0, 0]),
-        ("<= 1", [1, 1, 0]),
-        ("1", [0, 1, 0]),
-        ("!=1", [1, 0, 1]),
-    ],
-)
-def test_comparisons_are_those_of_python(text: str, holds: list[int]) -> None:
-    assert [parse_comparison(text)(value) for value in (0.5, 1.0, 1.5)] == [bool(each) for each in holds]
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from gem_core.errors import ArgumentError
 from gem_core.registry import registry
 from gem_eval.running.conditions import parse_condition
 from gem_eval.running.prices import load_prices
-from gem_eval.suites import Suite, builtin_suites, combined_suite, load_suite
+from gem_eval.suites import builtin_suites, combined_suite, load_suite
 from gem_eval.suites.suite import parse_suite
 
 
@@ -73,7 +72,6 @@ models: [random, {agent: "openai:m", name: cold, options: {temperature: 0}}]
         ('tasks: [{id: a:B, name: "a\\nb"}]', "tasks.0.name: "),
         ("[1, 2]", "is no suite: it must be a mapping with 'tasks', not list"),
         ("tasks: [", "is no YAML: "),
-        ("tasks: &a [*a]", "is no YAML: an alias (*name) has no place in a suite"),
         ("!!python/object/apply:os.system [echo]", "is no YAML: could not determine a constructor"),
         ("\x00", "is no YAML: "),
     ],
@@ -83,14 +81,6 @@ def test_what_is_wrong_with_a_suite_is_named_with_its_place(tmp_path: Path, text
     with pytest.raises(ArgumentError) as caught:
         load_suite(written(tmp_path, text))
     assert message in str(caught.value)
-
-
-def test_an_unknown_suite_names_the_nearest() -> None:
-    """And a file that is not there is told."""
-    with pytest.raises(ArgumentError, match="Did you mean 'games'"):
-        load_suite("game")
-    with pytest.raises(ArgumentError, match="cannot read"):
-        load_suite("nothing.yaml")
 
 
 def test_targets_are_joined_into_one_suite() -> None:
@@ -175,11 +165,6 @@ def test_tokens_have_a_price(agent: str, usage: dict[str, Any], dollars: float) 
     assert price.of(usage) == pytest.approx(dollars)
 
 
-def test_a_model_without_a_price_has_none() -> None:
-    """It is never free by mistake."""
-    assert load_prices().find("openai:gpt-5-turbo-x") is None
-
-
 def test_a_file_of_prices_that_is_wrong_is_named(tmp_path: Path) -> None:
     """With the place."""
     (tmp_path / "p.json").write_text('{"models": {"m": {"input": -1, "output": 2}}}')
@@ -187,9 +172,3 @@ def test_a_file_of_prices_that_is_wrong_is_named(tmp_path: Path) -> None:
         load_prices(tmp_path / "p.json")
     with pytest.raises(ArgumentError, match="cannot read the prices in"):
         load_prices(tmp_path / "none.json")
-
-
-def test_a_suite_is_equal_to_itself_after_json() -> None:
-    """As the record of a run keeps it."""
-    suite = load_suite("paper")
-    assert Suite.model_validate(json.loads(suite.model_dump_json())) == suite

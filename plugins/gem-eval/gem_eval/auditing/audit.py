@@ -157,7 +157,6 @@ class Audit:
             return False
         rate.episodes += 1
         rate.solved += solved
-        rate.returns += played.total
         return solved
 
     def problem(

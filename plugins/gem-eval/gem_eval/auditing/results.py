@@ -35,18 +35,16 @@ class Rate:
         episodes: Episodes that were judged; those with an error are left out.
         solved: Those that succeeded, not counting those that chance explains, as where the response names the gold
             answer of its row.
-        returns: Sum of their rewards.
     """
 
     kind: Kind
     episodes: int = 0
     solved: int = 0
-    returns: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON."""
-        rate, mean = ((total / self.episodes if self.episodes else None) for total in (self.solved, self.returns))
-        return {"kind": self.kind, "solved": self.solved, "episodes": self.episodes, "rate": rate, "mean_return": mean}
+        rate = self.solved / self.episodes if self.episodes else None
+        return {"kind": self.kind, "solved": self.solved, "episodes": self.episodes, "rate": rate}
 
 
 @dataclass(frozen=True)

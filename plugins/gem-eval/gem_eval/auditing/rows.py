@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -96,11 +96,6 @@ def check_rows(asked: Sequence[Asked], *, fixed: bool) -> Iterator[Problem]:
             share = sum(len(group) - 1 for group in same) / len(asked)
             shown = tuple(map(_repeated, same[:3]))
             yield Problem(kind, share, f"{len(same)} questions {what}", shown, fixed)
-    golds = Counter(each.gold for each in asked if each.gold)
-    gold, count = golds.most_common(1)[0] if golds else (None, 0)
-    if count > 0.8 * len(asked) and len(asked) >= 10:
-        share = count / len(asked)
-        yield Problem("one answer", share, f"{gold!r:.60} is right for {share:.0%} of the rows", fails=False)
 
 
 def _repeated(group: Sequence[Asked]) -> str:

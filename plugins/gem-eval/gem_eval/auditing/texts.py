@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterator
 from functools import lru_cache
 
 
@@ -15,12 +14,7 @@ def normal(text: str) -> str:
 
 def holds(text: str, part: str) -> bool:
     """Tell whether a normal text holds another one that is no piece of a longer word or number."""
-    return next(places(text, part), None) is not None
-
-
-def places(text: str, part: str) -> Iterator[int]:
-    """Yield where a normal text holds another one that is no piece of a longer word or number."""
-    return (found.start() for found in _whole(part).finditer(text)) if part else iter(())
+    return bool(part) and _whole(part).search(text) is not None
 
 
 @lru_cache(maxsize=4096)

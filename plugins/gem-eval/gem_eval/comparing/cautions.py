@@ -9,6 +9,7 @@ from gem_core import Episode
 from gem_core.cli import counted
 from gem_core.errors import EpisodeFileError
 from gem_core.records import to_plain
+from gem_eval.grouping import grouped
 from gem_eval.settings import asked_differently, asked_of, code_in, differing, short
 
 if TYPE_CHECKING:
@@ -56,13 +57,8 @@ def _of_settings(a: Side, b: Side) -> Iterator[str]:
 
 
 def _of_seeds(a: Side, b: Side, paired: Sequence[Task]) -> list[str]:
-    seeds: list[dict[Task, set[int | None]]] = []
-    for side in (a, b):
-        own: dict[Task, set[int | None]] = {}
-        for row in side.rows:
-            own.setdefault((row.id, row.row), set()).add(row.seed)
-        seeds.append(own)
-    differing = sum(not seeds[0][task] & seeds[1][task] for task in paired)
+    one, other = (grouped(side.rows, lambda row: (row.id, row.row)) for side in (a, b))
+    differing = sum({row.seed for row in one[task]}.isdisjoint(row.seed for row in other[task]) for task in paired)
     return [f"the seeds differ in {differing} of {len(paired)} rows that both have"] if differing else []
 
 
@@ -76,35 +72,26 @@ def _of_records(a: Side, b: Side, paired: Sequence[Task], *, told: bool) -> Iter
         told: Whether the settings of both runs, which arguments and wrappers are part of, have been compared.
     """
     said: dict[str, str] = {}
-    firsts = {task: row for task, row in reversed(paired)}
-    for task, row in firsts.items():
-        one, other = _record(a, (task, row)), _record(b, (task, row))
-        if one is None or other is None:
-            continue
+    for task, row in {task: row for task, row in reversed(paired)}.items():
+        try:
+            one, other = (
+                side.run.episode(next(each for each in side.rows if (each.id, each.row) == (task, row)))
+                for side in (a, b)
+            )
+        except EpisodeFileError:
+            continue  # whoever opens its transcript is told
         for difference in _record_differences(one, other, told=told):
             said.setdefault(difference, task)
-    for difference, task in said.items():
-        yield f"{difference} (as in {task})"
+    yield from (f"{difference} (as in {task})" for difference, task in said.items())
 
 
 def _record_differences(one: Episode, other: Episode, *, told: bool) -> Iterator[str]:
     for name in sorted({*one.versions, *other.versions}):
         if one.versions.get(name) != other.versions.get(name):
             yield f"the versions of {name} differ: {one.versions.get(name)} and {other.versions.get(name)}"
-    alike = True
-    for name, called in _STARTS.items():
-        first, second = to_plain(getattr(one, name)), to_plain(getattr(other, name))
-        if first != second:
-            alike = False
-            if not told:
-                yield f"{called} differ: {short(first)} and {short(second)}"
-    if alike and one.seed == other.seed and to_plain(one.observation) != to_plain(other.observation):
+    starts = {called: [to_plain(getattr(each, name)) for each in (one, other)] for name, called in _STARTS.items()}
+    differing = {called: both for called, both in starts.items() if both[0] != both[1]}
+    for called, (first, second) in ({} if told else differing).items():
+        yield f"{called} differ: {short(first)} and {short(second)}"
+    if not differing and one.seed == other.seed and to_plain(one.observation) != to_plain(other.observation):
         yield "the first observation of a row differs: its data or its prompt was changed"
-
-
-def _record(side: Side, task: Task) -> Episode | None:
-    row = next(row for row in side.rows if (row.id, row.row) == task)
-    try:
-        return side.run.episode(row)
-    except EpisodeFileError:
-        return None  # whoever opens its transcript is told

@@ -12,7 +12,7 @@ from gem_core.cli import counted
 from gem_core.errors import ArgumentError, EpisodeFileError
 from gem_core.records import whole_file
 from gem_eval.exporting.inspect_log import write_log
-from gem_eval.exporting.tables import write_csv, write_jsonl, write_parquet
+from gem_eval.exporting.tables import write_csv, write_jsonl
 from gem_eval.grouping import grouped
 from gem_eval.opening import warn_of_damage
 from gem_eval.records import Run, open_run
@@ -22,37 +22,26 @@ from gem_eval.records import Run, open_run
     "export",
     epilog="""\b
 Examples:
-  gem export runs/mine --to csv --out mine.csv            a row for each episode
-  gem export runs/mine --to csv --texts --out mine.csv    with questions and responses
-  gem export runs/a runs/b --to parquet --out both.parquet
-  gem export runs/mine --to jsonl --out mine.jsonl        whole episodes, as gem run writes them
-  gem export runs/mine --to inspect --out logs            then: inspect view --log-dir logs
+  gem export runs/mine --to csv --texts --out mine.csv    a row for each episode, with questions and responses
+  gem export runs/a runs/b --to jsonl --out both.jsonl    whole episodes, as gem run writes them, with their images
+  gem export runs/mine --to inspect --out logs            for: inspect view --log-dir logs
 \b
-csv, parquet   a row for each episode: outcome, return, turns, tokens, cost, seconds …
-               In CSV, a text that a spreadsheet would take for a formula gets an apostrophe before it.
-jsonl          whole episodes, unchanged, with images in a folder beside the file
-inspect        logs of inspect_ai, which its viewer and read_eval_log read: a file .eval for each task and
-               model, in a folder
-\b
-In Python: gem_eval.to_pandas("runs/mine") returns the table of csv as a DataFrame.
-Parquet needs pandas and pyarrow: pip install 'gem-eval[parquet]'. Nothing here needs inspect_ai.
+In Python, gem_eval.to_pandas("runs/mine") returns the table of csv as a DataFrame.
 \b
 Exit code: 0 if all was written, 1 if a run cannot be read, 2 for a wrong argument.
 """,
 )
 @click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "--to", "form", required=True, type=click.Choice(["csv", "parquet", "jsonl", "inspect"]), help="The form."
-)
+@click.option("--to", "form", required=True, type=click.Choice(["csv", "jsonl", "inspect"]), help="The form.")
 @click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="The file; for inspect a folder.")
-@click.option("--texts", is_flag=True, help="csv, parquet: add the first observation and the last response.")
+@click.option("--texts", is_flag=True, help="csv: add the first observation and the last response.")
 def command(runs: tuple[Path, ...], form: str, out: Path, texts: bool) -> None:
     """Write the episodes of runs in a form that other programs read.
 
     RUN is a folder that 'gem eval' wrote, or a file of 'gem run'.
     """
-    if texts and form not in ("csv", "parquet"):
-        raise ArgumentError(f"--texts goes with csv and parquet: {form} always has all texts")
+    if texts and form != "csv":
+        raise ArgumentError(f"--texts goes with csv: {form} always has all texts")
     if any(out.resolve().is_relative_to(path.resolve()) for path in runs):
         raise ArgumentError(f"--out {out} is the run itself, or inside of it; name another place")
     opened = [open_run(path) for path in runs]
@@ -63,8 +52,7 @@ def command(runs: tuple[Path, ...], form: str, out: Path, texts: bool) -> None:
         elif form == "jsonl":
             written = counted(write_jsonl(opened, out), "episode")
         else:
-            write = write_csv if form == "csv" else write_parquet
-            written = counted(write(opened, out, texts=texts), "episode")
+            written = counted(write_csv(opened, out, texts=texts), "episode")
     except OSError as error:
         raise EpisodeFileError(f"cannot write {out}: {error.strerror or error}") from error
     click.echo(f"{written} written to {out}")

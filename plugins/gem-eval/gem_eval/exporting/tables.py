@@ -1,4 +1,4 @@
-"""The episodes of runs as a table (pandas, CSV, Parquet), and as a file of ``gem run``."""
+"""The episodes of runs as a table (pandas, CSV), and as a file of ``gem run``."""
 
 from __future__ import annotations
 
@@ -81,24 +81,6 @@ def write_csv(runs: Sequence[Run], path: Path, *, texts: bool = False) -> int:
         writer.writerow(columns)
         writer.writerows(map(_cell, record) for record in zip(*columns.values(), strict=True))
     return len(columns["run"])
-
-
-def write_parquet(runs: Sequence[Run], path: Path, *, texts: bool = False) -> int:
-    """Write the episodes of runs as Parquet, and return their number; see ``to_pandas``, which it takes.
-
-    Raises:
-        MissingRequirementError: pandas or pyarrow is not installed.
-        EpisodeFileError: A run cannot be read.
-        OSError: The file cannot be written.
-    """
-    try:
-        import pyarrow  # type: ignore[import-untyped]  # noqa: F401 - pandas needs it
-    except ModuleNotFoundError as error:
-        raise MissingRequirementError("Parquet needs pyarrow: pip install 'gem-eval[parquet]'") from error
-    table = to_pandas(*runs, texts=texts)
-    with whole_file(path) as file:
-        table.to_parquet(file, index=False)
-    return len(table)
 
 
 def write_jsonl(runs: Sequence[Run], path: Path) -> int:

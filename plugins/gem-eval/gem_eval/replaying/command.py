@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from gem_core import Episode, write_episodes
+from gem_core import write_episodes
 from gem_core.cli import AGENTS, agent_options, arguments_option, counted, echo_line, env_arguments, given, output_width
 from gem_core.errors import ArgumentError
 from gem_eval.output import print_json
@@ -34,14 +34,8 @@ Examples:
   gem replay runs/mine 17 --from-turn 4 --agent human  go on yourself
   gem replay runs/mine 17 --set rows=data/mine.jsonl   with an argument that the record lacks
 \b
-GEM makes the environment from the record (id, arguments, wrappers), resets it with the recorded seed and
-options, and repeats the recorded responses. Turns count from 1, as in 'gem show'; K is the first that is
-played anew. The agent reads the conversation up to there as its own.
-\b
-A record lacks long arguments and secrets: --set gives them. Observations and rewards are compared with the
-record; a difference ends a branch with an error, unless --force is given.
-\b
-Branches are written to a file, with the original as episode 1, for 'gem show', 'gem compare' and others.
+Turns count from 1, as in 'gem show'; K is the first that is played anew. A difference from the record ends a
+branch with an error, unless --force is given. Branches are written to a file, with the original as episode 1.
 \b
 Exit code: 0 if all went as recorded and no branch has an error, 1 if not, 2 for a wrong argument.
 """,
@@ -109,10 +103,8 @@ def command(
 
 def _show_beginning(found: Replay, turns: int) -> None:
     """Show a person the turns before the first of theirs."""
-    if 0 < turns <= found.original.turns:
-        first = replace(found.original, transitions=found.original.transitions[:turns], final_observation="")
-        _, _, *lines = episode_lines(first, found.row.number)  # without the heading and the outcome
-        write_lines(itertools.takewhile(lambda line: line != rule("end"), lines))
+    first = replace(found.original, transitions=found.original.transitions[:turns], final_observation="")
+    write_lines(itertools.takewhile(lambda line: line != rule("end"), episode_lines(first, found.row.number)))
 
 
 def _print(found: Replay, written: str | None) -> None:
@@ -136,24 +128,12 @@ def _print(found: Replay, written: str | None) -> None:
 
 
 def _as_dict(found: Replay, written: str | None) -> dict[str, Any]:
-    def told(episode: Episode) -> dict[str, Any]:
-        return {
-            "success": episode.success,
-            "return": episode.episode_return,
-            "turns": episode.turns,
-            "cut_off": episode.cut_off,
-            "error": error_text(episode.error) or None,
-        }
-
     return {
         "run": str(found.run.path),
         "episode": found.row.number,
         "turns_repeated": found.turns,
         "agrees": found.agrees,
-        "original": told(found.original),
-        "episodes": [
-            {**told(episode), "differences": each}
-            for episode, each in zip(found.episodes, found.differences, strict=True)
-        ],
+        "differences": found.differences,
+        "errors": [error_text(episode.error) or None for episode in found.episodes],
         "written": written,
     }

@@ -143,30 +143,18 @@ def recipe_of(episode: Episode, kwargs: Mapping[str, Any] | None = None) -> tupl
     arguments = {**episode.kwargs, **(kwargs or {})}
     if episode.seed is None:
         raise ArgumentError("the record does not say the seed of the episode, so that it cannot be repeated")
-    for name, value in arguments.items():
-        if _holds_blot(value):
-            raise ArgumentError(
-                f"the record of {episode.id} blots out a secret in {name}: give it by --set {name}=VALUE"
-            )
-    for name, options in episode.wrappers:
-        if _holds_blot(options):
-            raise ArgumentError(
-                f"the record of {episode.id} blots out a secret of the wrapper {name}, so it cannot be made again: "
-                "give wrappers the name of an environment variable in place of a secret, as ${TOKEN}"
-            )
+    if _BLOT in json.dumps(to_plain([arguments, episode.wrappers])):
+        raise ArgumentError(
+            f"the record of {episode.id} blots out a secret: give it by --set NAME=VALUE, and to wrappers as the name "
+            "of an environment variable, ${TOKEN}"
+        )
+    for name, _ in episode.wrappers:
         if str(name).startswith("<"):
             raise ArgumentError(
                 f"{episode.id} was played with {name}, an object that a record cannot name: register the tool or "
                 "wrapper, or name it as 'module:Class'"
             )
     return episode.id, {**arguments, "wrappers": [(name, options) for name, options in episode.wrappers]}
-
-
-def _holds_blot(value: Any) -> bool:
-    if isinstance(value, str):
-        return _BLOT in value
-    parts = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
-    return any(map(_holds_blot, parts))
 
 
 class RecordedActions:

@@ -222,9 +222,6 @@ def _finish(ctx: click.Context, session: EvaluationSession, rows: list[Row], sto
     if errors:
         told = f"{counted(len(errors), 'episode')} had an error; the first, {errors[0].row}: {errors[0].error}"
         click.echo(f"gem: {told}. Play them again with --retry-errors", err=True)
-    silent = session.run.info.get("silent") or []
-    if silent and session.limits.of_usage:
-        click.echo(f"gem: no limit of tokens or cost held for {', '.join(silent)}, which report no usage", err=True)
     done = f"after {len(rows)} of {session.plan.episodes} episodes; the same command"
     if isinstance(stopped_by, KeyboardInterrupt):
         click.echo(f"gem: interrupted {done} goes on", err=True)

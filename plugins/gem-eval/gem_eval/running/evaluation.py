@@ -187,13 +187,13 @@ class EvaluationSession:
                 raise
             finally:
                 info["sessions"][-1]["ended"] = time.time()
-                writer.write_info({**info, **ended, "silent": sorted(meter.silent)})
+                writer.write_info({**info, **ended})
                 writer.write_metrics(self.metrics())
 
     def _episodes(self, writer: RunWriter, meter: RunMeter, before: list[Row], at_end: ExitStack) -> Iterator[Row]:
         threshold = self._options.get("error_threshold", 0.5)
         prices = {model.label: self._prices.find(model.agent) for model in self._models}
-        agents = {name: metered(name, agent, meter, prices[name]) for name, agent in self._agents.items()}
+        agents = {name: metered(agent, meter, prices[name]) for name, agent in self._agents.items()}
         done = FinishedEpisodes()
         for row in before:
             if self._stays(row):

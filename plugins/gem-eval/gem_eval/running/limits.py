@@ -54,11 +54,6 @@ class Limits:
         """Whether a price is needed."""
         return self.episode_cost is not None or self.run_cost is not None
 
-    @property
-    def of_usage(self) -> bool:
-        """Whether the token counts of servers are needed."""
-        return self.of_cost or self.episode_tokens is not None or self.run_tokens is not None
-
 
 @dataclass
 class Meter:
@@ -98,8 +93,6 @@ class RunMeter:
         self.limits = limits
         self.total = Meter(tokens=tokens, cost=cost)
         self.episodes: dict[str, Meter] = {}
-        self.silent: set[str] = set()
-        """Models whose server does not tell token counts."""
 
     def reached(self) -> str | None:
         """Return the limit of the run that has been reached, as ``"run time"``."""
@@ -137,14 +130,13 @@ class MeteredAgent:
     """An agent that is held to limits, and whose usage is counted.
 
     Args:
-        name: Name of the model.
         agent: The agent.
         meter: Meter of the run.
         price: What its tokens cost; None where that is not known.
     """
 
-    def __init__(self, name: str, agent: Agent, meter: RunMeter, price: Price | None = None) -> None:
-        self._name, self._agent, self._meter, self._price = name, agent, meter, price
+    def __init__(self, agent: Agent, meter: RunMeter, price: Price | None = None) -> None:
+        self._agent, self._meter, self._price = agent, meter, price
 
     def __getattr__(self, name: str) -> Any:
         if name not in _FORWARDED:
@@ -169,9 +161,7 @@ class MeteredAgent:
     def _note(self, meter: Meter, asked: float, answer: Any) -> Any:
         meter.model_seconds += time.monotonic() - asked
         usage = answer.usage if isinstance(answer, Response) else None
-        if usage is None:
-            self._meter.silent.add(self._name)
-        else:
+        if usage is not None:
             meter.add(usage, self._price)
             self._meter.total.add(usage, self._price)
         return answer
@@ -196,6 +186,6 @@ class AsyncMeteredAgent(MeteredAgent):
         return self._note(meter, asked, answer)
 
 
-def metered(name: str, agent: Agent, meter: RunMeter, price: Price | None = None) -> MeteredAgent:
+def metered(agent: Agent, meter: RunMeter, price: Price | None = None) -> MeteredAgent:
     """Return an agent that is held to limits; see ``MeteredAgent``."""
-    return (AsyncMeteredAgent if is_asynchronous(agent) else MeteredAgent)(name, agent, meter, price)
+    return (AsyncMeteredAgent if is_asynchronous(agent) else MeteredAgent)(agent, meter, price)

@@ -264,7 +264,7 @@ def _is_task(target: str | Path) -> bool:
 def parse_suite(text: bytes, origin: str, *, default_name: str) -> Suite:
     """Return the suite that a YAML text describes; see ``load_suite``."""
     try:
-        content = yaml.load(text, _Loader)
+        content = yaml.safe_load(text)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise ArgumentError(f"{origin} is no YAML: {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
@@ -276,15 +276,6 @@ def parse_suite(text: bytes, origin: str, *, default_name: str) -> Suite:
         place = ".".join(map(str, first["loc"]))
         more = f" ({error.error_count() - 1} more)" if error.error_count() > 1 else ""
         raise ArgumentError(f"{origin}: {place}: {first['msg']}.{_hint(first)}{more}") from None
-
-
-class _Loader(yaml.SafeLoader):
-    """Reads YAML without aliases, by which a short file may stand for any amount of data."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("an alias (*name) has no place in a suite")
-        return super().compose_node(parent, index)
 
 
 def _hint(error: Any) -> str:
