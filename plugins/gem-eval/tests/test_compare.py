@@ -11,10 +11,8 @@ import pytest
 from click.testing import CliRunner, Result
 from indexed_runs import verdicts, write_index
 
-import gem_core as gem
 import gem_eval
 from gem_core.errors import ArgumentError
-from gem_core.records import write_episodes
 from gem_eval.comparing.command import command
 from gem_eval.statistics import mcnemar, paired_difference
 
@@ -168,15 +166,6 @@ def test_settings_seeds_and_sampling_that_differ_are_warned_of(tmp_path: Path) -
         "the seeds differ in 2 of 2 rows that both have",
     ]
     assert "WARNING: a and b may not be comparable: the sampling differs" in call(a, b).stderr
-
-
-def test_files_of_gem_run_are_warned_of_by_their_episodes(tmp_path: Path) -> None:
-    """They have no settings."""
-    paths = []
-    for name, kwargs in (("a", {"max_turns": 3}), ("b", {})):
-        paths.append(tmp_path / f"{name}.jsonl")
-        write_episodes(paths[-1], gem.rollout(gem.make(ID, **kwargs), "bisect", episodes=8, seed=1))
-    assert gem_eval.compare(*paths).cautions == [f'arguments differ: {{"max_turns": 3}} and {{}} (as in {ID})']
 
 
 @pytest.mark.parametrize(

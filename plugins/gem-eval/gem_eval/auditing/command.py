@@ -34,12 +34,9 @@ Policies, and what is right for each:
   null       no answer; injection: words to a judge; hedge: many answers at once; peek: what info,
              observations and tools give away; tamper: code, patterns, false tests and reward files: none
 \b
-It also reads all rows of a data set: gold answers that are missing or malformed, and questions that
-occur twice. It looks for gold answers in what an agent sees before the end, calls each tool once, and
-repeats episodes, which must come out the same. A note is no problem.
-\b
-Commands and programs that could do harm are tried only after a harmless one has shown that a sandbox
-holds them.
+It also reads all rows of a data set, looks for gold answers in what an agent sees before the end, and
+repeats episodes, which must come out the same. A note is no problem. Commands and programs that could do
+harm are tried only after a harmless one has shown that a sandbox holds them.
 \b
 Exit code: 0 if all environments are sound, 1 if one has a problem above the threshold or could not
 be audited, 2 for a wrong argument.

@@ -22,18 +22,12 @@ Examples:
   gem compare runs/before runs/after                  the difference, its interval, a test, what flipped
   gem compare runs/both                               the models of one run
   gem compare runs/both@openai:gpt-5-mini runs/other  one model of a run, and another run
-  gem compare runs/a runs/b --metric return
   gem compare runs/a runs/b runs/c                    each with the first
   gem compare runs/a runs/b --scores openai-gpt-5     by the scores of 'gem score'
 \b
-Rows that both runs have are paired: a row is a task of an environment, and the same in every run with the
-same seed. Other rows, errors and episodes without a verdict are counted and left out. An episode that a
-limit cut off is not solved; if leaving these out changes the verdict, a line says so.
-\b
-Success with one epoch of each row is tested by McNemar's exact test, everything else by a permutation
-test that gives each row's difference a random sign. Where several tasks, or several pairs of runs, are
-tested, p-values are corrected by Holm; tests that cannot reach 0.05, as too few of their rows
-differ, are left out of the count (Tarone).
+Rows that both runs have are paired. Other rows, errors and episodes without a verdict are counted and left
+out. Success with one epoch of each row is tested by McNemar's exact test, everything else by a permutation
+test of the signs of rows; several tasks, or pairs of runs, are corrected by Holm.
 """,
 )
 @click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=click.Path())

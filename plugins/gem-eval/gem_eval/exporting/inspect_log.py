@@ -25,16 +25,6 @@ from gem_eval.turns import error_text, parts_of, text_of
 if TYPE_CHECKING:
     from gem_eval.records import Row, Run
 
-_LIMITS = {
-    "turns": "turn",
-    "tokens": "context",
-    "time": "time",
-    "run time": "time",
-    "token budget": "token",
-    "run tokens": "token",
-    "cost": "cost",
-    "run cost": "cost",
-}
 _ROLES = ("system", "user", "assistant", "tool")
 _STOP_REASONS = {"stop": "stop", "length": "max_tokens", "tool_calls": "tool_calls", "content_filter": "content_filter"}
 _SUMMARY = ("id", "epoch", "target", "metadata", "scores", "model_usage", "total_time", "uuid", "turn_count")
@@ -141,11 +131,7 @@ def _sample(run: Run, row: Row, episode: Episode, *, tells: bool) -> dict[str, A
     if episode.error is not None:
         sample["error"] = {"message": error_text(episode.error), "traceback": "", "traceback_ansi": ""}
     if row.cut_off is not None:
-        kind = _LIMITS.get(row.cut_off, "custom")
-        tokens = (row.tokens_in or 0) + (row.tokens_out or 0)
-        reached = {"turn": row.turns, "context": tokens, "token": tokens, "time": row.seconds, "cost": row.cost}
-        reason = f"cut off by {row.cut_off}; 'limit' is what was reached"
-        sample["limit"] = {"type": kind, "limit": reached.get(kind) or 0, "reason": reason}
+        sample["limit"] = {"type": "custom", "limit": 0, "reason": f"cut off by {row.cut_off}"}
     return sample
 
 

@@ -25,12 +25,8 @@ Examples:
   gem report runs/mine                              writes report.html
   gem report runs/a runs/b --out a-and-b.html       side by side, with the differences on shared rows
   gem report runs/mine --format markdown            tables for a pull request, to standard output
-  gem report runs/mine --json                       the scores, for a program
 \b
-The page is one file that needs no network: it can be mailed, printed, and opened years later. It holds
-scores with 95 % intervals, how episodes ended, returns and turns, tokens and cost, what was asked, and
-some episodes that failed, were cut off or had an error (--examples sets how many). Texts of models are
-in these examples only.
+The page is one file that needs no network. Texts of models are in its examples only.
 \b
 Exit code: 0 if the report was written, 1 if a run cannot be read, 2 for a wrong argument.
 """,

@@ -60,23 +60,15 @@ Examples:
   gem eval math:GSM8K --model openai:my-model --base-url http://localhost:8000/v1 --tools python
   gem eval tasks.yaml --model my_module:my_agent --where 'level == 5'
   gem eval tau-sample --model openai:gpt-5-mini --role user=openai:gpt-5-nano --run-cost 5
-  gem eval games --model openai:gpt-5-mini --retry-errors
   gem eval math:GSM8K --model openai:gpt-5-mini --tools python --perturb tool_429 --perturb typos,polite
 \b
---perturb also plays each row as a variant of the model, such as 'openai:gpt-5-mini + typos': its tools,
-or task are disturbed, by seed. 'gem compare RUN' shows how much the score falls. It takes tool_429,
-tool_timeout, polite, typos, and any other name of 'gem list wrappers' and 'gem list tools'; 'gem info NAME'
-says what each does, and its options.
+--perturb also plays each row as a variant of the model, such as 'openai:gpt-5-mini + typos'. It takes tool_429,
+tool_timeout, polite, typos, and any other name of 'gem list wrappers'; 'gem info NAME' says what each does.
 \b
-The same command goes on with a run that was stopped, and begins a new one after it has finished; --new
-always begins a new one. Rows and seeds are the same in every run of a suite, so that two runs
-can be compared row by row: 'gem compare'. 'gem view', 'gem report' and 'gem show' read the folder.
-If the code of an environment or an agent has changed, it says what, and asks for --go-on-anyway.
-\b
-Each score stands with its 95 % interval, clustered by row. An episode that was cut off by a limit
-is not solved; if leaving such episodes out changes the score, that is shown as well. Episodes with
-an error (a server that did not answer, an environment that failed) are in no score.
-With --json also what episodes took: seconds, steps a second, tokens.
+The same command goes on with a run that was stopped, and begins a new one after it has finished. Rows and
+seeds are the same in every run of a suite, for 'gem compare'. 'gem view', 'gem report' and 'gem show' read
+the folder. Each score stands with its 95 % interval, clustered by row. An episode that was cut off by a
+limit is not solved; one with an error is in no score.
 \b
 Exit code: 0 if every episode ran, 1 if one had an error or a limit of the run was reached, 2 for a
 wrong argument, 130 after Ctrl-C.

@@ -28,18 +28,13 @@ _MOST_LISTED = 20
 Examples:
   gem score runs/mine --grader my_module:grade         a function of your own
   gem score runs/mine --grader env                     the environment's grading, as it is now
-  gem score runs/mine --grader openai:gpt-5-mini
   gem score runs/mine --grader openai:gpt-5-mini --rubric rubric.txt --name polite
   gem compare runs/mine runs/other --scores polite
 \b
 Your own grader gets a gem.Episode, and returns True or False, a number, several by name
 ({"polite": 1, "short": 0.5}; the first is compared), or None if it cannot tell. It may be a coroutine
-function. 'env' makes the environment from the record and replays the recorded responses; differences from
-the record are named. A model judges by a rubric, ours or yours (--rubric); it reads the conversation as data.
-\b
-The scores are lines of RUN/scores/NAME.jsonl, or of RUN.scores/NAME.jsonl for a file of 'gem run'. The run
-itself is never changed. After Ctrl-C, the same command goes on. Episodes with an error are not graded. If
-the grader fails, the episode has an error and no score; the same command tries it again.
+function. The scores are written beside the run, which is never changed. The same command goes on after
+Ctrl-C, and tries again where the grader failed.
 \b
 Exit code: 0 if the grader failed for no episode, 1 if it did, 2 for a wrong argument, 130 after Ctrl-C.
 """,

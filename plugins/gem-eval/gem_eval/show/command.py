@@ -36,18 +36,11 @@ Examples:
   gem show runs/mine.jsonl --sort return --reverse --limit 10
   gem show runs/mine.jsonl 17                         one episode, turn by turn
   gem show runs/mine.jsonl --html mine.html           a page for the browser, in one file
-  gem show runs/games.jsonl --seat white --success    the games that white won
-  gem show runs/games.jsonl 3 --seat white            one of them as white saw it
-  gem show runs/math --failure --model gpt-5-mini     the folder of a run of 'gem eval'
+  gem show runs/games.jsonl 3 --seat white            a game as white saw it
 \b
-A game of several agents is shown turn by turn. --success finds the games that one of them won, --return
-compares the sum of their returns. --seat shows one seat alone: its outcome, return, turns and observations.
-\b
-The number of an episode is its line in the file, from 1. In a terminal, the output is paged: '/' searches,
-'n' finds the next, 'q' leaves; PAGER names another pager, NO_COLOR switches colours off. Control characters
-are shown as codes, images by name; --html shows images.
-\b
-A damaged line is skipped, and named on standard error.
+Of a game of several agents, --success finds those that one of them won, and --return compares the sum of
+their returns. In a terminal, the output is paged: '/' searches, 'q' leaves; PAGER names another pager,
+NO_COLOR switches colours off.
 \b
 Exit code: 0 if the file could be read, even if no episode fits, 1 if it has no whole episode or
 the one asked for is damaged, 2 for a wrong argument.

@@ -24,14 +24,10 @@ Examples:
   gem view                              all runs in runs/
   gem view runs/math runs/math-again    two runs beside each other
   gem view runs/mine.jsonl --open       a file of 'gem run', in the browser at once
-  gem view --port 8600                  the same address every time
 \b
-The page shows the runs with their scores, a table of their episodes with filters, and each episode turn
-by turn. It follows runs that go on. Its address names what is shown, so that it can be sent to others who
-look at the same runs. '?' in the page lists its keys. Ctrl-C ends it.
-\b
-The page is read-only, and answers this machine alone. From another machine: ssh -L 8600:localhost:8600 HOST,
-and there 'gem view --port 8600'.
+The page follows runs that go on. Its address names what is shown; '?' lists its keys. It is read-only, and
+answers this machine alone. From another machine: ssh -L 8600:localhost:8600 HOST, and there
+'gem view --port 8600'. Ctrl-C ends it.
 \b
 Exit code: 0 when it is ended with Ctrl-C, 2 if there is no run or the port is taken.
 """,
