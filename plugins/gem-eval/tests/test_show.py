@@ -261,7 +261,7 @@ def test_colours_stand_in_a_terminal_alone(tmp_path: Path) -> None:
         os.close(terminal)
         seen.append(os.read(controller, 65536).decode())
         os.close(controller)
-    assert "\x1b[1mEpisode 4" in seen[0]
+    assert "\x1b[37munscored" in seen[0]
     assert "\x1b[2J" not in seen[0]
     assert "\x1b" not in seen[1]
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Awaitable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import gem_core as gem
-from gem_core import Episode, Observation, PlanItem
+from gem_core import Episode, Observation, PlanItem, Transition
 from gem_core.errors import AgentError, ArgumentError, EpisodeLimitError, GemError, RequestError, UnknownNameError
 from gem_core.records import from_plain, to_plain
 from gem_core.rollouts import Agent, AgentTraits, Context, as_agent, close_agent, load_agent, prepare_agent
@@ -185,11 +186,9 @@ class RecordedActions:
         turn = context.turn
         if turn <= self._turns and not self._force:
             last = context.transitions[-1] if context.transitions else None
-            found = _step_difference(self._episode, turn, last) or _observation_difference(
-                self._episode, turn, context.observation
-            )
+            found = _differences_at(self._episode, turn, last, context.observation)
             if found:
-                raise RequestError(f"the replay is not as recorded: {found}", cause="replay")
+                raise RequestError(f"the replay is not as recorded: {found[0]}", cause="replay")
         if turn < self._turns:
             return self._episode.transitions[turn].action
         if self._agent is None:
@@ -212,8 +211,7 @@ def differences(recorded: Episode, replayed: Episode, turns: int) -> list[str]:
             break
         last = replayed.transitions[turn - 1] if turn else None
         observation = replayed.final_observation if turn == replayed.turns else replayed.transitions[turn].observation
-        both = _step_difference(recorded, turn, last), _observation_difference(recorded, turn, observation)
-        found += [each for each in both if each]
+        found += _differences_at(recorded, turn, last, observation)
     if turns == recorded.turns and replayed.turns == turns and recorded.error is None:
         was, is_now = recorded.success, replayed.success
         if was != is_now:
@@ -221,34 +219,26 @@ def differences(recorded: Episode, replayed: Episode, turns: int) -> list[str]:
     return found
 
 
-def _step_difference(recorded: Episode, turn: int, replayed: Any) -> str | None:
-    """Compare the result of the step before a turn, from 0."""
-    if turn == 0 or replayed is None:
-        return None
-    last = recorded.transitions[turn - 1]
-    compared = ["reward", "terminated", "truncated"]
-    if turn == recorded.turns and not last.terminated and last.truncated:
-        compared.remove("truncated")  # it may have been cut off between two turns, by a limit or an error
-    for name in compared:
-        was, is_now = to_plain(getattr(last, name)), to_plain(getattr(replayed, name))
-        if was != is_now:
-            return f"turn {turn}: {name} was {was}, and is {is_now}"
-    return None
-
-
-def _observation_difference(recorded: Episode, turn: int, observation: Observation) -> str | None:
-    is_last = turn == recorded.turns
-    before = recorded.final_observation if is_last else recorded.transitions[turn].observation
+def _differences_at(recorded: Episode, turn: int, last: Transition | None, observation: Observation) -> list[str]:
+    """Compare a turn, from 0, with the record: the result of the step before it, and the observation."""
+    found = []
+    if turn and last is not None:
+        before = recorded.transitions[turn - 1]
+        compared = ["reward", "terminated", "truncated"]
+        if turn == recorded.turns and not before.terminated and before.truncated:
+            compared.remove("truncated")  # it may have been cut off between two turns, by a limit or an error
+        pairs = {name: (to_plain(getattr(before, name)), to_plain(getattr(last, name))) for name in compared}
+        differing = [f"turn {turn}: {name} was {was}, and is {now}" for name, (was, now) in pairs.items() if was != now]
+        found += differing[:1]
+    seen = recorded.final_observation if turn == recorded.turns else recorded.transitions[turn].observation
     # An image that was not read stands in a record as the plain form of one does.
-    was, is_now = (_text(from_plain(to_plain(each))) for each in (before, observation))
-    if was == is_now:
-        return None
-    place = next((number for number, pair in enumerate(zip(was, is_now, strict=False)) if pair[0] != pair[1]), -1)
-    start = max(min(len(was), len(is_now)) if place < 0 else place - 10, 0)
-    shown = [repr(text[start : start + _LONGEST]) for text in (was, is_now)]
-    what = "the first observation" if turn == 0 else f"turn {turn}: what was answered"
-    return f"{what} was {shown[0]}, and is {shown[1]} (from character {start})"
-
-
-def _text(plain: Any) -> str:
-    return plain if isinstance(plain, str) else json.dumps(plain, ensure_ascii=False)
+    texts = [
+        plain if isinstance(plain, str) else json.dumps(plain, ensure_ascii=False)
+        for plain in (from_plain(to_plain(each)) for each in (seen, observation))
+    ]
+    if texts[0] != texts[1]:
+        start = max(len(os.path.commonprefix(texts)) - 10, 0)  # noqa: RUF071 - of texts, not of paths
+        was, now = (repr(text[start : start + _LONGEST]) for text in texts)
+        what = f"turn {turn}: what was answered" if turn else "the first observation"
+        found.append(f"{what} was {was}, and is {now} (from character {start})")
+    return found

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import importlib
 import inspect
 import os
 import platform
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from functools import partial
 from importlib import metadata
+from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any
 
@@ -89,30 +90,14 @@ def _sources(module: Any) -> list[Path]:
     if hasattr(module, "__path__"):
         return sorted(path for folder in module.__path__ for path in Path(folder).rglob("*.py"))
     file = Path(module.__file__)
-    return [file] if "site-packages" in file.parts else sorted(_with_imports(file, set()))
-
-
-def _with_imports(file: Path, found: set[Path]) -> set[Path]:
-    found.add(file)
-    for name in _imported(file):
-        beside = file.with_name(f"{name}.py")
-        if beside.is_file() and beside not in found:
-            _with_imports(beside, found)
-        elif (package := file.with_name(name)).is_dir():
-            found.update(package.rglob("*.py"))
-    return found
-
-
-def _imported(file: Path) -> Iterator[str]:
-    try:
-        tree = ast.parse(file.read_bytes())
-    except (SyntaxError, ValueError):
-        return
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from (alias.name.partition(".")[0] for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            yield node.module.partition(".")[0]
+    if "site-packages" in file.parts:
+        return [file]
+    finder = ModuleFinder([str(file.parent)])
+    with suppress(SyntaxError):
+        finder.run_script(str(file))
+    return sorted(
+        {file, *(Path(name) for each in finder.modules.values() if (name := getattr(each, "__file__", None)))}
+    )
 
 
 def _digest(parts: Iterable[bytes]) -> str:
