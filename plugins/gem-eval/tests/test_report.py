@@ -1,4 +1,4 @@
-"""gem report: what the page, the Markdown and the JSON say, and that text of others is inert in them."""
+"""gem report: what the page and the JSON say, and that text of others is inert in them."""
 
 from __future__ import annotations
 
@@ -82,7 +82,6 @@ def test_a_page_of_little(tmp_path: Path, rows: int, failing: float, said: str) 
     """No episodes, only errors, one episode."""
     run = made_runs.make_run(tmp_path / "run", rows=rows, failing=failing, info={})
     assert said in page_of(run).text
-    assert "### run" in report(run, "--format", "markdown")
     silent = made_runs.make_run(tmp_path / "silent", ["a", "b"], ["m", "n"], tells=False, failing=0.0)
     contents = contents_of([open_run(silent)])
     assert {(each.found.id, each.metric) for each in contents.differences} == {("a", "return"), ("b", "return")}
@@ -113,7 +112,7 @@ def test_solved_counts_rows_by_how_often_they_were_solved(tmp_path: Path) -> Non
 
 
 def test_hostile_text_is_inert(tmp_path: Path) -> None:
-    """In names, errors, transcripts and run.json; in HTML and in Markdown."""
+    """In names, errors, transcripts and run.json; in HTML."""
     evil = recorded.HOSTILE
     with RunWriter(tmp_path / "run") as writer:
         writer.write_info({evil: evil, "command": evil, "models": {evil: {evil: [evil]}}})
@@ -128,9 +127,6 @@ def test_hostile_text_is_inert(tmp_path: Path) -> None:
     page = page_of(tmp_path / "run")
     assert "</script><script>alert(1)</script>" in page.text
     assert "\u202e" not in page.text
-    markdown = report(tmp_path / "run", "--format", "markdown")
-    assert "<script" not in markdown.replace("\\<", "")
-    assert all(line.count(" | ") == 8 for line in markdown.splitlines() if line.startswith("| "))
 
 
 @pytest.mark.parametrize("values", [[], [3.0], [0.0, 0.0], [-1.0, 1e9], [float("nan"), 1.0], [0.1, 0.25, 7.0]])

@@ -9,13 +9,12 @@ from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-from gem_eval.show.text import escaped, one_line
+from gem_eval.show.text import escaped
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
 _BREAKABLE = re.compile(r"[:/_.]+")
-_MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~&!@])")
 
 
 def read_assets(*names: str) -> str:
@@ -32,17 +31,17 @@ def hash_source(text: str) -> str:
 def render(template: str, **values: Any) -> str:
     """Fill a template of this folder.
 
-    In HTML, text of others is escaped, and characters that hide or reorder stand as their codes.
+    Text of others is escaped, and characters that hide or reorder stand as their codes.
 
     Args:
-        template: Its name; ``.html`` is escaped.
+        template: Its name.
         values: What stands in it.
     """
-    return _environment(template.endswith(".html")).get_template(template).render(values)
+    return _environment().get_template(template).render(values)
 
 
 @cache
-def _environment(is_page: bool) -> Environment:
+def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup, escape
 
@@ -59,8 +58,8 @@ def _environment(is_page: bool) -> Environment:
 
     environment = Environment(
         loader=PackageLoader("gem_eval", "assets"),
-        autoescape=is_page,
-        finalize=visible if is_page else None,
+        autoescape=True,
+        finalize=visible,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -68,7 +67,6 @@ def _environment(is_page: bool) -> Environment:
     environment.filters |= {
         "breakable": breakable,
         "cut": cut,
-        "markdown": lambda name: _MARKDOWN.sub(r"\\\1", one_line(name, 120)),
         "hash": hash_source,
     }
     return environment

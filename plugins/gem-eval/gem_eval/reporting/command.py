@@ -1,4 +1,4 @@
-"""``gem report``: the scores of runs as a page, as Markdown or as JSON."""
+"""``gem report``: the scores of runs as a page or as JSON."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gem_eval.opening import warn_of_damage
 from gem_eval.output import print_json
 from gem_eval.records import open_run
 from gem_eval.reporting.contents import contents_of
-from gem_eval.reporting.page import html_report, markdown_report
+from gem_eval.reporting.page import html_report
 
 _OUT = Path("report.html")
 
@@ -24,7 +24,7 @@ _OUT = Path("report.html")
 Examples:
   gem report runs/mine                              writes report.html
   gem report runs/a runs/b --out a-and-b.html       side by side, with the differences on shared rows
-  gem report runs/mine --format markdown            tables for a pull request, to standard output
+  gem report runs/mine --json                       the scores, for a program
 \b
 The page is one file that needs no network. Texts of models are in its examples only.
 \b
@@ -33,24 +33,13 @@ Exit code: 0 if the report was written, 1 if a run cannot be read, 2 for a wrong
 )
 @click.argument("runs", metavar="RUN…", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help=f"The file.  [default: {_OUT}; markdown: printed]",
-)
-@click.option(
-    "--format",
-    "form",
-    type=click.Choice(["html", "markdown"]),
-    default="html",
-    show_default=True,
-    help="Format of the report.",
+    "-o", "--out", type=click.Path(path_type=Path, dir_okay=False), default=_OUT, show_default=True, help="The file."
 )
 @click.option(
     "--examples", type=click.IntRange(min=0), default=8, show_default=True, help="Episodes to show turn by turn."
 )
 @click.option("--json", "as_json", is_flag=True, help="Write the scores as JSON to standard output, and no page.")
-def command(runs: tuple[Path, ...], out: Path | None, form: str, examples: int, as_json: bool) -> None:
+def command(runs: tuple[Path, ...], out: Path, examples: int, as_json: bool) -> None:
     """Write the scores of runs, with intervals and plots, as one page.
 
     RUN is a folder that 'gem eval' wrote, or a file of 'gem run'. Several runs stand side by side.
@@ -66,15 +55,7 @@ def command(runs: tuple[Path, ...], out: Path | None, form: str, examples: int, 
         ]
         print_json({"scores": scores})
         return
-    if form == "markdown":
-        content = markdown_report(contents)
-        if out is None:
-            click.echo(content, nl=False)
-            return
-    else:
-        content = html_report(contents, examples)
-    out = out or _OUT
     if out.exists() and any(out.resolve().is_relative_to(path.resolve()) for path in runs):
         raise ArgumentError(f"--out {out} is part of a run; name another file")
-    write_page(out, content)
+    write_page(out, html_report(contents, examples))
     click.echo(f"report of {counted(len(contents.rows), 'episode')} written to {out}")

@@ -1,4 +1,4 @@
-"""A report as one page without script and network, or as Markdown: ``assets/report.html`` and ``report.md``."""
+"""A report as one page without script and network: ``assets/report.html``."""
 
 from __future__ import annotations
 
@@ -100,21 +100,6 @@ def html_report(contents: Contents, examples: int) -> str:
         ending_bar=_ending_bar,
         amounts=_amounts,
     )
-
-
-def markdown_report(contents: Contents) -> str:
-    """Return a report as Markdown: the scores, and the differences of those that share rows."""
-    told = contents.tasks_with("success")
-    metrics: list[tuple[str, Metric]] = [(task, "success" if task in told else "return") for task in contents.tasks]
-    # Returns of different tasks are of different sizes, and have no sum.
-    metrics += [("all", "success")] if len(told) > 1 else []
-    scores = [
-        (task, entrant, score)
-        for task, metric in metrics
-        for entrant in contents.entrants
-        if (score := entrant.scores.get((task, metric)))
-    ]
-    return render("report.md", contents=contents, scores=scores, figures=figures) + "\n"
 
 
 def _task_name(task: str) -> str:
