@@ -133,8 +133,7 @@ def test_marks_that_look_alike_are_told_apart() -> None:
 @pytest.mark.parametrize("code", ["{1, 2}", "{n: n for n in range(3)}", '{"a": 1}', "[python for python in [1]]"])
 def test_code_for_the_tool_python_is_taken_as_it_is(code: str) -> None:
     """Trap 3: in some forms it is no JSON, whatever it begins with."""
-    for text in (f"<|python_tag|>{code}", f"<|channel|>analysis to=python code<|message|>{code}<|call|>"):
-        assert called(text) == ("python", {"code": code})
+    assert called(f"<|channel|>analysis to=python code<|message|>{code}<|call|>") == ("python", {"code": code})
 
 
 @pytest.mark.parametrize(
@@ -292,7 +291,6 @@ ANSWERS = [
     "The action input is 3; to=me",
     "I start it:\n>>> python\nimport os",
     "python\n<|content|>print(1)",
-    "I wrote ```tool_code before.",
     "functools.partial(f, 1)",
     "I passed functools[0] on.",
     "From: a@b.c\nto=functions",

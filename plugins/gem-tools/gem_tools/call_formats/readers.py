@@ -12,7 +12,6 @@ import contextlib
 import re
 from typing import Any
 
-from gem_core.parsing import extract_code_blocks, unclosed_code_block
 from gem_core.tools import ToolCall
 from gem_tools.call_formats.found import ParsedCall, Parser, Tools, closed, reads, tool_call, tool_taking
 from gem_tools.call_formats.values import RawText, arguments_at, loaded, value_at
@@ -214,31 +213,6 @@ def code_lines(text: str, start: int, at: int, tools: Tools) -> ParsedCall | Non
     return None if call is None or call.problem is not None else call
 
 
-def python_tag(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
-    """Llama: a call in JSON or Python, or code as it is."""
-    if re.compile(rf'\s*+\{{\s*+["\'](?:type|{"|".join(NAMES)})["\']').match(text, at):
-        return json_call(text, at)
-    written = python_call(text, at)
-    if written is not None and written.problem is None and written.name in tools:
-        return written
-    stop = re.compile(r"<\|(?:eom_id|eot_id|eot|python_end)\|>").search(text, at)
-    return _as_text("", text, at, stop)._replace(takes="code")
-
-
-def code_fence(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
-    """Gemma: a block ``tool_code``, around a call of a tool in Python, or code for the tool that takes it."""
-    block = next(iter(extract_code_blocks(text[start:], "tool_code")), None)
-    cut = block is None
-    block = block or unclosed_code_block(text[start:], "tool_code")
-    if block is None or block.start > 0 or not _begins_line(text, start):
-        return None
-    end = len(text) if cut else start + block.end
-    written = python_call(block.code, 0)
-    if written is not None and written.name in tools and written.problem is None:
-        return written._replace(end=end, cut=cut)
-    return ParsedCall("", _text(block.code), end, takes="code", cut=cut)
-
-
 def harmony(text: str, start: int, at: int, tools: Tools) -> ParsedCall | None:
     """gpt-oss: a message to a recipient, as JSON or, for a built-in tool, code as it is."""
     header = _RECIPIENT.match(text, at)
@@ -342,11 +316,9 @@ def read_bare_python(opening: re.Match[str], tools: Tools) -> ToolCall | None:
 read_body = reads(body)
 read_function = reads(function)
 read_invoke = reads(lambda text, start, at, tools: function(text, start, at, tools) or body(text, start, at, tools))
-read_python_tag = reads(python_tag)
 read_functools = reads(
     lambda text, start, at, tools: None if (call := json_call(text, at - 1)).problem else call, sure=False
 )
-read_code_fence = reads(code_fence, sure=False)
 read_message = reads(harmony, sure=False)
 read_react = reads(react, sure=False)
 read_search_query = reads(between("<|end_search_query|>", "query"))

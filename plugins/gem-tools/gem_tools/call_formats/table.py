@@ -38,14 +38,13 @@ _ROWS: Mapping[Literal["calls", "texts", "anything"], tuple[Row, ...]] = {
         ("dsml_inner", r"<｜DSML｜invoke", "function", "DeepSeek V3.2 and V4, without the outer tag"),
         ("step3", r"<｜tool_calls_begin｜>", "body", "Step3"),
         # Code and queries.
-        ("python_tag", r"<\|python_tag\|>|<\|python_start\|>", "python_tag", "Llama 3 and 4"),
+        ("python_tag", r"<\|python_tag\|>|<\|python_start\|>", "body", "Llama 3 and 4, ToolACE"),
         ("search_o1", r"<\|begin_search_query\|>", "search_query", "Search-o1"),
         ("r1_searcher", r"<\|begin_of_query\|>", "query", "R1-Searcher"),
         ("codeact", r"<execute>", "execute", "CodeAct"),
     ),
     "texts": (
         ("phi_4_mini", r"functools\[", "functools", "Phi-4-mini"),
-        ("tool_code", r"```tool_code", "code_fence", "Gemma by its prompt"),
         ("harmony", r"to=", "message", "gpt-oss"),
         ("react", r"Action:", "react", "ReAct"),
         ("smolagents", r"<code>", "code_lines", "smolagents, ReTool"),

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import atexit
-import base64
 import contextlib
 import copy
 import itertools
-import json
 import os
 import threading
 import weakref
-from collections.abc import Coroutine, Mapping, Sequence
+from collections.abc import Coroutine, Sequence
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 
 from gem_core.background import on_library_loop, run_sync
@@ -39,14 +37,10 @@ _pools: weakref.WeakSet[Pool] = weakref.WeakSet()
 _shared: dict[tuple[Any, ...], Pool] = {}
 
 
-class _RunOptions(TypedDict, total=False):
-    stdin: str
-    files: Mapping[str, bytes] | None
-
-
-class RunOptions(_RunOptions, total=False):
+class RunOptions(TypedDict, total=False):
     """What ``Pool.run`` may be told besides the code."""
 
+    stdin: str
     limits: Limits
     value: bool
 
@@ -117,13 +111,12 @@ class Pool:
 
         Args:
             code: The program.
-            options: ``stdin``, its standard input; ``files`` in its folder, by name; ``limits``, what it may use; and
-                ``value``, whether the value of a last expression is wanted.
+            options: ``stdin``, its standard input; ``limits``, what it may use; and ``value``, whether the value of a
+                last expression is wanted.
 
         Raises:
             SandboxError: A sandbox could not be started or was lost: the result is unknown.
             MissingRequirementError: The level that was asked for is not to be had here.
-            ArgumentError: Names of files that lead out of the folder.
         """
         return run_sync(self._run(code, None, **options))
 
@@ -166,21 +159,18 @@ class Pool:
         session: Session | None,
         *,
         stdin: str = "",
-        files: Mapping[str, bytes] | None = None,
         limits: Limits = _NO_LIMITS,
         value: bool = False,
     ) -> Outcome:
         told = limits.told(session=session is not None)
-        job = {"code": str(code), "files": _packed(files or {}), "value": value, "most": limits.value_chars}
-        given = _as_bytes(stdin)
-        code_and_files = json.dumps(job).encode("ascii")
+        job, given = _as_bytes(str(code)), _as_bytes(stdin)
         cell = await self._turn(session)
-        header: dict[str, Any] = {"op": "run", "id": next(self._numbers), "limits": told}
-        header |= {"job": len(code_and_files), "input": len(given)}
+        header: dict[str, Any] = {"op": "run", "id": next(self._numbers), "limits": told, "value": value}
+        header |= {"job": len(job), "input": len(given)}
         if session is not None:
             header["session"] = session.name
             session.cell = cell
-        answer, streams = await self._asked(cell, header, code_and_files + given)
+        answer, streams = await self._asked(cell, header, job + given)
         if answer["failed"] is not None:
             raise SandboxError(f"no process could be set up in the sandbox: {answer['failed']}")
         if session is not None:
@@ -322,21 +312,21 @@ class Session:
         """Let go of the sandbox; the next call begins anew."""
         self.cell, self.opened = None, False
 
-    def run(self, code: str, *, value: bool = True, **options: Unpack[_RunOptions]) -> Outcome:
+    def run(self, code: str, *, stdin: str = "", value: bool = True) -> Outcome:
         """Run the next piece of code, as ``Pool.run`` does; the value of a last expression is wanted by default.
 
         Raises:
             SandboxError: The sandbox was lost, and the variables with it; the next call begins anew.
         """
-        return run_sync(self._run(code, value, **options))
+        return run_sync(self._run(code, stdin, value))
 
-    async def arun(self, code: str, *, value: bool = True, **options: Unpack[_RunOptions]) -> Outcome:
+    async def arun(self, code: str, *, stdin: str = "", value: bool = True) -> Outcome:
         """Do the same in a coroutine, on any loop."""
-        return await on_library_loop(self._run(code, value, **options))
+        return await on_library_loop(self._run(code, stdin, value))
 
-    async def _run(self, code: str, value: bool, **options: Unpack[_RunOptions]) -> Outcome:
+    async def _run(self, code: str, stdin: str, value: bool) -> Outcome:
         async with self._one_at_a_time:
-            return await self.pool._run(code, self, limits=self.limits, value=value, **options)
+            return await self.pool._run(code, self, stdin=stdin, limits=self.limits, value=value)
 
     def close(self) -> None:
         """End it, its process and its folder."""
@@ -374,16 +364,6 @@ def _as_bytes(text: str) -> bytes:
         return text.encode("utf-8", "surrogateescape")
     except UnicodeEncodeError:  # a lone surrogate that stands for no byte
         return text.encode("utf-8", "surrogatepass")
-
-
-def _packed(files: Mapping[str, bytes]) -> dict[str, str]:
-    packed = {}
-    for name, content in files.items():
-        parts = name.split("/")
-        if not name or name.startswith("/") or "\0" in name or any(part in ("", ".", "..") for part in parts):
-            raise ArgumentError(f"a file must be named by a path within the folder, not {name!r}")
-        packed[name] = base64.b64encode(content).decode("ascii")
-    return packed
 
 
 def close_all() -> None:

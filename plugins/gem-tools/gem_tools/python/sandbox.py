@@ -102,9 +102,8 @@ class Sandbox:
         """Run an empty program, which shows whether code can be run at all."""
         settings = self.launch.settings
         limits = Limits(wall_s=30.0, folder_mb=settings["folder_mb"], folder_files=settings["folder_files"])
-        job = json.dumps({"code": "", "files": {}, "value": False, "most": 100}).encode("ascii")
-        header = {"op": "run", "id": 0, "limits": limits.told(session=False), "job": len(job), "input": 0}
-        answer, (_, err, _) = await self.ask(header, job)
+        header = {"op": "run", "id": 0, "limits": limits.told(session=False), "value": False, "job": 0, "input": 0}
+        answer, (_, err, _) = await self.ask(header)
         if answer["failed"] is not None or answer["status"] != 0:
             raise SandboxError(f"the sandbox does not work: {answer['failed'] or err.text()[-600:]}")
 

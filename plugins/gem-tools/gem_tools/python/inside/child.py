@@ -20,7 +20,7 @@ JOB = 3
 """File descriptor of the socket to the first process.
 
 On it a process says ``+`` when code begins, or ``-`` and why it cannot; then the result of each piece of code, as a
-line of JSON. A session gets files with its next code and input there.
+line of JSON. It gets what was asked there, with files that hold code and input.
 """
 
 _NICE = 19
@@ -81,21 +81,21 @@ def _run(context: ForkContext) -> int:
     os.closerange(JOB + 1, 1024)
     _look_new()
     program = runner.Program()
-    told, task = _receive()
+    told, code = _receive()
     try:
         if fault is not None:
             raise fault
         os.chdir(context.folder)
         if not context.settings["namespaces"]:
             at_home(context.folder)
-        _set_up(task, context)
+        _name_input(code, context)
         confine.limit(told["limits"], told["others"], context.base_bytes)
     except BaseException as error:  # noqa: BLE001 - told as a failure of the sandbox, not of the code
         _say(f"-{type(error).__name__}: {error}".encode("utf-8", "replace"))
         return 1
     _say(b"+")
     while True:
-        outcome = program.run(task["code"], wants_value=task["value"], most=task["most"])
+        outcome = program.run(code, wants_value=told["value"], most=told["limits"]["value_chars"])
         if not context.kind["session"]:
             program.end()
             _report(outcome)
@@ -103,7 +103,7 @@ def _run(context: ForkContext) -> int:
         runner.flush()
         _report(outcome)
         # A session is stopped here until its next call.
-        _, task = _receive()
+        told, code = _receive()
         # Children that were killed between two calls.
         with contextlib.suppress(ChildProcessError):
             while os.waitpid(-1, os.WNOHANG)[0]:
@@ -112,7 +112,7 @@ def _run(context: ForkContext) -> int:
         with contextlib.suppress(Exception):
             if os.fstat(0).st_size:
                 sys.stdin = runner.input_stream()
-            _set_up(task, context)
+            _name_input(code, context)
 
 
 def _shut_in(context: ForkContext) -> None:
@@ -148,21 +148,20 @@ def _look_new() -> None:
     runner.make_streams()
 
 
-def _set_up(task: dict[str, Any], context: ForkContext) -> None:
-    """Put the files of a call in place, and its input where code opens that by name and there is no ``/proc``."""
-    runner.write_files(task["files"])
-    if context.settings["namespaces"] and any(name in task["code"] for name in _INPUT_NAMES):
+def _name_input(code: str, context: ForkContext) -> None:
+    """Put the input in the folder where code opens it by name and there is no ``/proc``."""
+    if context.settings["namespaces"] and any(name in code for name in _INPUT_NAMES):
         runner.name_input()
 
 
-def _receive() -> tuple[dict[str, Any], dict[str, Any]]:
-    """Wait for the next call; return its limits, and its code with its files. Its input becomes standard input."""
+def _receive() -> tuple[dict[str, Any], str]:
+    """Wait for the next call; return what was asked, and its code. Its input becomes standard input."""
     with socket.socket(fileno=os.dup(JOB)) as channel:
         data, (job, given), _, _ = socket.recv_fds(channel, 1 << 16, 2)
     os.dup2(given, 0)
     os.close(given)
     with open(job, "rb") as stream:
-        return json.loads(data), json.load(stream)
+        return json.loads(data), stream.read().decode("utf-8", "surrogatepass")
 
 
 def _say(data: bytes) -> None:

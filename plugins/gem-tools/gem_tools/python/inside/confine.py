@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import glob
 import os
 import resource
 import signal
@@ -174,21 +175,13 @@ def kill_user(uid: int, nobody: int) -> None:
 
 def own_tasks() -> int:
     """Count the threads of this process's user, which the kernel's limit counts together."""
-    user, count = os.getuid(), 0
-    for name in os.listdir("/proc"):
-        if name.isdigit():
-            fields = dict(line.split(b":", 1) for line in _lines(f"/proc/{name}/status"))
-            if fields and int(fields[b"Uid"].split()[0]) == user:
+    count = 0
+    for path in glob.glob("/proc/[0-9]*/status"):
+        with contextlib.suppress(OSError), open(path, "rb") as stream:
+            fields = dict(line.split(b":", 1) for line in stream)
+            if int(fields[b"Uid"].split()[0]) == os.getuid():
                 count += int(fields[b"Threads"])
     return max(count - 1, 0)
-
-
-def _lines(path: str) -> list[bytes]:
-    try:
-        with open(path, "rb") as stream:
-            return stream.read().splitlines()
-    except OSError:
-        return []
 
 
 def _write(proc: int, path: str, text: str) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ast
 import atexit
-import base64
 import builtins
 import contextlib
 import io
@@ -39,16 +38,6 @@ def make_streams() -> None:
     sys.stdin = sys.__stdin__ = input_stream()  # type: ignore[misc]
     sys.stdout = sys.__stdout__ = _output(1, "<stdout>", line_buffering=False)  # type: ignore[misc]
     sys.stderr = sys.__stderr__ = _output(2, "<stderr>", line_buffering=True)  # type: ignore[misc]
-
-
-def write_files(files: dict[str, str]) -> None:
-    """Write files into the current folder."""
-    for name, content in files.items():
-        folder = os.path.dirname(name)
-        if folder:
-            os.makedirs(folder, exist_ok=True)
-        with open(name, "wb") as stream:
-            stream.write(base64.b64decode(content))
 
 
 def name_input() -> None:
@@ -192,19 +181,19 @@ def _parsed(code: str, filename: str) -> ast.Module:
 def _described(error: BaseException, most: int) -> dict[str, Any]:
     kind = type(error).__name__
     try:
-        error.__traceback__ = _from_own_frame(error.__traceback__)
         if isinstance(error, SyntaxError) and error.text is None and error.filename and error.lineno:
             error.text = linecache.getline(error.filename, error.lineno)  # of code that could be parsed
-        told = traceback.TracebackException.from_exception(error, limit=-_MAX_FRAMES, compact=True)
+        told = traceback.TracebackException.from_exception(error, compact=True)
+        chain = _chain(told)
+        for each in chain:
+            first = next((place for place, frame in enumerate(each.stack) if _is_own(frame)), 0)
+            each.stack = traceback.StackSummary(each.stack[first:][-_MAX_FRAMES:])  # without the frames of this module
         whole = "".join(told.format())
+        for each in chain:
+            _shorten_stack(each)
+        short = "".join(told.format())
         told.__notes__ = None
         last = [*told.format_exception_only()][-1].strip()
-        for each in _chain(error):
-            each.__traceback__ = _last_own_frame(each.__traceback__)
-        told = traceback.TracebackException.from_exception(error, compact=True)
-        for each in _chain(told):
-            _cut_lines(each)
-        short = "".join(told.format())
     except BaseException:  # noqa: BLE001 - an exception's own methods may fail in any way
         last, whole = kind, f"{kind}: an error that cannot be shown\n"
         short = whole
@@ -217,42 +206,26 @@ def _described(error: BaseException, most: int) -> dict[str, Any]:
     }
 
 
-def _chain(error: Any) -> list[Any]:
-    """Return an exception, its causes, and those of its group; or the same of what tells of an exception."""
-    found: dict[int, Any] = {}
-    waiting = [error]
+def _chain(told: traceback.TracebackException) -> list[traceback.TracebackException]:
+    """Return what tells of an exception, of its causes, and of those of its group."""
+    found: dict[int, traceback.TracebackException] = {}
+    waiting: list[traceback.TracebackException | None] = [told]
     while waiting:
         each = waiting.pop()
         if each is not None and id(each) not in found:
             found[id(each)] = each
-            waiting += [each.__cause__, each.__context__]
-            if isinstance(each, BaseExceptionGroup | traceback.TracebackException):
-                waiting += getattr(each, "exceptions", None) or ()
+            waiting += [each.__cause__, each.__context__, *(each.exceptions or ())]
     return list(found.values())
 
 
-def _is_own(frames: types.TracebackType) -> bool:
-    return frames.tb_frame.f_code.co_filename.startswith(FILENAME[:-1])
+def _is_own(frame: traceback.FrameSummary) -> bool:
+    return frame.filename.startswith(FILENAME[:-1])
 
 
-def _from_own_frame(frames: types.TracebackType | None) -> types.TracebackType | None:
-    """Leave out the frames of this module, which run the code."""
-    while frames is not None and not _is_own(frames):
-        frames = frames.tb_next
-    return frames
-
-
-def _last_own_frame(frames: types.TracebackType | None) -> types.TracebackType | None:
-    """Leave out all frames but the last one of the code's own, as those of libraries that it calls."""
-    last = None
-    while frames is not None:
-        last, frames = frames if _is_own(frames) else last, frames.tb_next
-    return last and types.TracebackType(None, last.tb_frame, last.tb_lasti, last.tb_lineno)
-
-
-def _cut_lines(told: traceback.TracebackException) -> None:
-    """Show no more of a long line than its beginning, and no marks below a line."""
-    lines = [(frame.filename, frame.lineno or 0, frame.name, (frame.line or "")[:_MAX_LINE]) for frame in told.stack]
+def _shorten_stack(told: traceback.TracebackException) -> None:
+    """Leave the last frame of the code's own, with no more of a long line than its beginning, and no marks below it."""
+    own = [frame for frame in told.stack if _is_own(frame)][-1:]
+    lines = [(frame.filename, frame.lineno or 0, frame.name, (frame.line or "")[:_MAX_LINE]) for frame in own]
     told.stack = traceback.StackSummary.from_list(lines)
     text = getattr(told, "text", None)
     if text is not None and len(text) > _MAX_LINE:

@@ -167,7 +167,7 @@ class Server:
         try:
             if process is None:
                 process = self.take(header["limits"])
-            self.hand_over(process, header["limits"], job, given)
+            self.hand_over(process, header, job, given)
         except OSError as error:
             self.send({"id": header["id"], "failed": f"no process could be forked: {error}"})
             return
@@ -251,12 +251,12 @@ class Server:
         self.living[process.pid] = process
         return process
 
-    def hand_over(self, process: Process, limits: dict[str, Any], job: int, given: int) -> None:
+    def hand_over(self, process: Process, header: dict[str, Any], job: int, given: int) -> None:
         """Let a process run its next piece of code, without what a session has left in its socket.
 
         Args:
             process: One that waits.
-            limits: Of the call.
+            header: What was asked.
             job: File with the code.
             given: File with its standard input.
         """
@@ -264,7 +264,7 @@ class Server:
             while process.job.recv(1 << 18):
                 pass
         others = confine.own_tasks() if self.settings["same_user"] else 0
-        socket.send_fds(process.job, [json.dumps({"limits": limits, "others": others}).encode()], [job, given])
+        socket.send_fds(process.job, [json.dumps({**header, "others": others}).encode()], [job, given])
         os.kill(process.pid, signal.SIGCONT)
 
     def still(self, process: Process) -> None:
