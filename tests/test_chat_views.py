@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from toys import CountdownEnv, EchoEnv, Notebook
 
 import gem_core as gem
-from gem_core.env.guard import Guard
 from gem_core.env.observations import texts_of
 from gem_core.errors import ArgumentError
 from gem_core.tools.env import ToolEnv
@@ -67,8 +66,9 @@ def test_concat_chat_appends_the_raw_response_and_the_bridge() -> None:
 
 def test_an_end_of_turn_in_the_response_is_not_written_twice() -> None:
     """Some trainers keep special tokens in the text."""
-    texts = played(ConcatChat(EchoEnv(), Template()), ["hi<|end|>"])
+    texts = played(ConcatChat(EchoEnv(), Template()), ["hi<|end|>", "GEM-BRIDGE-MARK"])
     assert "hi<|end|>\n<|user|>" in texts[-1]
+    assert texts[-1].endswith("GEM-BRIDGE-MARK<|end|>\n<|user|>Heard: GEM-BRIDGE-MARK<|end|>\n<|assistant|>")
 
 
 def test_concat_chat_with_a_limit_renders_the_whole_chat() -> None:
@@ -145,15 +145,6 @@ def test_options_that_cannot_work_are_refused(make: Any, message: str) -> None:
         make()
 
 
-@pytest.mark.parametrize("make", CHAT)
-def test_a_fork_shows_the_same_chat(make: Any) -> None:
-    """And goes on the same."""
-    view = make(Guard(CountdownEnv()))
-    played(view, ["a", "b"])
-    other = view.fork()
-    assert other.step("c") == view.step("c")
-
-
 def test_native_calls_count_towards_the_budget() -> None:
     """A server counts what a model wrote into its calls, and its thinking where that is sent back."""
     call = {"id": "a", "type": "function", "function": {"name": "note", "arguments": '{"line": "one two three four"}'}}
@@ -167,23 +158,3 @@ def test_native_calls_count_towards_the_budget() -> None:
     env.reset(seed=1, options={"left": 100})
     long = {**call, "function": {"name": "note", "arguments": json.dumps({"line": "x"}) + " " * 5 + "y " * 200}}
     assert env.step(gem.Response("", tool_calls=[long]))[4]["context_overflow"] is True
-
-
-def test_a_task_may_say_what_the_bridge_is_found_by() -> None:
-    """The text stays append-only, and nothing of the task is lost."""
-    env = ConcatChat(EchoEnv(), Template())
-    first = env.reset(seed=1)[0]
-    assert env.step("GEM-BRIDGE-MARK!")[0] == (
-        f"{first}GEM-BRIDGE-MARK!<|end|>\n<|user|>Heard: GEM-BRIDGE-MARK!<|end|>\n<|assistant|>"
-    )
-
-
-@pytest.mark.parametrize("given", [{}, {"id": None}, {"id": ""}, {"id": 5}])
-def test_calls_without_a_usable_id_are_answered_all_the_same(given: dict[str, Any]) -> None:
-    """Servers demand that each call has an id, and that the messages of tools name it."""
-    env = MessagesView(ToolEnv(CountdownEnv(), [Notebook()]))
-    env.reset(seed=1, options={"left": 100})
-    call = {**given, "type": "function", "function": {"name": "note", "arguments": '{"line": "x"}'}}
-    *_, assistant, first, second = env.step(gem.Response("", tool_calls=[call, {**call, "id": "b"}]))[0]
-    ids = [called["id"] for called in assistant["tool_calls"]]
-    assert ids == [first["tool_call_id"], second["tool_call_id"]] == ["5" if given.get("id") else "call_0", "b"]

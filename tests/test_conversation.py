@@ -28,7 +28,7 @@ def native(*calls: tuple[str, str, str]) -> list[dict[str, Any]]:
 
 SUM = ("c1", "calculator", '{"left": 1, "right": 2}')
 NOTE = ("c2", "note", '{"line": "three"}')
-BAD = ("c3", "calculator", "{bad")
+BAD = ("", "calculator", "{bad")
 
 ANSWERS = [
     Response("I add.", tool_calls=native(SUM)),
@@ -49,11 +49,11 @@ CHAT = [
         "role": "user",
         "content": "Output of note:\nthree\nTool calls left: 3. Call a tool again, or give your answer.\n",
     },
-    {"role": "assistant", "content": "", "tool_calls": native(NOTE, BAD)},
+    {"role": "assistant", "content": "", "tool_calls": native(NOTE, ("call_1", *BAD[1:]))},
     {"role": "tool", "tool_call_id": "c2", "content": "three\nthree"},
     {
         "role": "tool",
-        "tool_call_id": "c3",
+        "tool_call_id": "call_1",
         "content": "Error from calculator:\nThe call could not be read: its arguments are no valid JSON: Expecting "
         "property name enclosed in double quotes: line 1 column 2 (char 1)\nTool calls left: 1. Call a tool again, or "
         "give your answer.",
@@ -199,7 +199,6 @@ class Advised(Notebook):
     [
         ({"max_tool_uses": 1}, "Say something.\nYou may use tools before you answer. You have 1 tool call.\n{}"),
         ({"max_tool_uses": None}, "Say something.\nYou may use tools before you answer.\n{}"),
-        ({"instructions": False}, "Say something."),
         ({"instructions": "Own words."}, "Say something.\nOwn words.\n"),
     ],
 )

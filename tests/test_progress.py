@@ -63,17 +63,6 @@ def test_a_bar_in_a_terminal_leaves_standard_output_alone(tmp_path: Path) -> Non
     assert b"3/3" in shown
 
 
-def test_a_function_is_told_how_many_are_over_and_how_many_there_are() -> None:
-    """From the first; of an iterator, it is not known how many there are."""
-    told: list[tuple[int, int | None]] = []
-    list(gem.rollout(COUNTDOWN, sampling_agent, episodes=2, seed=0, progress=lambda *counts: told.append(counts)))
-    assert told == [(0, 2), (1, 2), (2, 2)]
-    told.clear()
-    plan = iter([PlanItem(repeat=2)])
-    list(gem.rollout(COUNTDOWN, sampling_agent, plan=plan, progress=lambda *counts: told.append(counts)))
-    assert told == [(0, None), (1, None), (2, None)]
-
-
 def test_episodes_that_were_there_are_over() -> None:
     """A run that is resumed goes on where it was."""
     first = list(gem.rollout(COUNTDOWN, sampling_agent, episodes=3, seed=0))[:2]
@@ -81,3 +70,6 @@ def test_episodes_that_were_there_are_over() -> None:
     plan = [PlanItem(), PlanItem(), PlanItem(repeat=2)]
     list(gem.rollout(COUNTDOWN, sampling_agent, plan=plan, resume=first, progress=lambda *each: told.append(each)))
     assert told == [(2, 4), (3, 4), (4, 4)]
+    told.clear()
+    list(gem.rollout(COUNTDOWN, sampling_agent, plan=iter(plan), progress=lambda *each: told.append(each)))
+    assert told == [(done, None) for done in range(5)]

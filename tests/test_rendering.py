@@ -10,7 +10,6 @@ from guess_env import GuessEnv
 from joint_toys import CountdownEnv
 
 import gem_core as gem
-from gem_core.making.again import Recipe
 from gem_core.registry import lookup as registry
 
 
@@ -52,6 +51,7 @@ def test_ansi_returns_the_drawing_of_the_task_inside_any_wrapper() -> None:
 
 def test_a_task_that_draws_nothing_is_shown_by_its_last_observation() -> None:
     """As it came from the task, whatever a view makes of it."""
+    assert gem.make("test:Shout-v0").render() is None
     env = gem.make("test:Shout-v0", render_mode="ansi", wrappers="concat")
     env.reset(seed=1)
     assert env.render() == "Say something."
@@ -75,25 +75,9 @@ def test_human_prints_on_reset_and_step(capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().out == "Say something.\nYou said hello\\x07\n"
 
 
-def test_nothing_is_drawn_without_a_mode(capsys: pytest.CaptureFixture[str]) -> None:
-    """``render`` returns None."""
-    env = gem.make("test:Shout-v0")
-    env.reset(seed=1)
-    assert (env.render_mode, env.render(), capsys.readouterr().out) == (None, None, "")
-
-
 def test_human_prints_the_drawing_of_several_agents(capsys: pytest.CaptureFixture[str]) -> None:
     """On reset and step, as of one agent."""
     env: Any = gem.make("test:Stage-v0", render_mode="human")
     observations, _ = env.reset(seed=1)
     env.step(dict.fromkeys(observations, "\\boxed{1}"))
     assert [line.rpartition(" to ")[2] for line in capsys.readouterr().out.splitlines()] == ["take", "take"]
-
-
-def test_the_mode_is_kept_by_what_is_made_again(capsys: pytest.CaptureFixture[str]) -> None:
-    """What is made again shows itself as well."""
-    env: Any = gem.make("test:Guess-v3", render_mode="human")
-    for again in (gem.make(env.spec), Recipe.of(env).make()):
-        assert again.render_mode == "human"
-        again.reset(seed=1)
-    assert capsys.readouterr().out == "turn 0\nturn 0\n"

@@ -11,7 +11,6 @@ import pytest
 from toys import AsyncNotebook, Calculator, CountdownEnv, EchoEnv, Notebook
 
 import gem_core as gem
-from gem_core.background import run_sync
 from gem_core.errors import ArgumentError
 from gem_core.tools.env import ToolEnv
 
@@ -225,17 +224,3 @@ def test_sessions_of_a_blocking_tool_never_block_the_loop() -> None:
     env.step("<note>a</note>")
     env.close()
     assert (notebook.opened, notebook.closed, notebook.threads) == (1, 1, {"gem-blocking"})
-
-
-def test_sessions_are_closed_on_the_library_loop_too() -> None:
-    """Where close() cannot wait, as when the garbage collector runs there, closing is started at once."""
-    notebook = AsyncNotebook()
-    env = tool_env(notebook)
-    env.step("<note>a</note>")
-
-    async def close() -> None:
-        env.close()
-        await asyncio.sleep(0)
-
-    run_sync(close())
-    assert notebook.closed == 1

@@ -118,14 +118,6 @@ def test_episodes_are_the_same_and_every_session_is_closed(kind: str, backend: A
     assert events(tmp_path / "log") == {"open": 6, "close": 6} == events(tmp_path / "expected")
 
 
-def test_a_limit_on_calls_changes_no_episode(tmp_path: Path) -> None:
-    """Calls then go into threads, from the library's loop."""
-    expected = episodes_of((Logged, {"log": str(tmp_path / "expected")}), "sync")
-    limited = ("tools", {"tools": [(Logged, {"log": str(tmp_path / "log")})], "call_timeout_s": 60.0})
-    assert episodes_of(limited, "async") == expected
-    assert events(tmp_path / "log") == {"open": 6, "close": 6}
-
-
 @pytest.mark.parametrize(("kind", "backend"), [("inline", "process"), ("thread", "sync"), ("async", "async")])
 def test_sessions_are_closed_when_the_task_fails(kind: str, backend: Any, tmp_path: Path) -> None:
     """An environment that raises is replaced, and what it had open is closed."""
