@@ -95,20 +95,23 @@ class AsyncNoting(Noting):
     """The same as coroutines, all on the library's loop."""
 
     async def before_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
-        assert asyncio.get_running_loop() is background_loop()
+        self._check_loop()
         super().before_reset(seed, options)
 
     async def after_reset(self, result: Any) -> Any:
-        assert asyncio.get_running_loop() is background_loop()
+        self._check_loop()
         return super().after_reset(result)
 
     async def before_step(self, action: str) -> Any:
-        assert asyncio.get_running_loop() is background_loop()
+        self._check_loop()
         return super().before_step(action)
 
     async def after_step(self, action: str, result: Any) -> Any:
-        assert asyncio.get_running_loop() is background_loop()
+        self._check_loop()
         return super().after_step(action, result)
+
+    def _check_loop(self) -> None:
+        assert asyncio.get_running_loop() is background_loop()
 
 
 class ShortCut(Wrapper):

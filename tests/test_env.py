@@ -24,25 +24,6 @@ def guess_env(own_registry: registry.Registry) -> None:
 # Seeds.
 
 
-def test_stream_continues_with_other_episodes() -> None:
-    """Later resets give the next episodes of the stream, the same each time."""
-
-    def episodes() -> list[Any]:
-        env = gem.make("test:Guess-v3")
-        return [env.reset(seed=4), play(env), *((env.reset(), play(env)) for _ in range(3))]
-
-    assert episodes() == episodes()
-    assert len({str(episode) for episode in episodes()}) == 5
-
-
-def test_reported_seed_replays_an_episode_alone() -> None:
-    """info["seed"] of any episode starts the same episode in another instance."""
-    env, other = gem.make("test:Guess-v3"), gem.make("test:Guess-v3")
-    env.reset(seed=4)
-    other.reset(seed=env.reset()[1]["seed"])
-    assert play(env) == play(other)
-
-
 def test_unseeded_environments_differ_and_report_their_seed() -> None:
     """Without a seed the stream comes from entropy, below 2**53, and is reported."""
     seeds = {gem.make("test:Guess-v3").reset()[1]["seed"] for _ in range(20)}
@@ -57,15 +38,6 @@ def test_bad_seed_is_refused() -> None:
             call(-1)
     _, info = gem.make("test:Guess-v3").reset(seed=np.int64(3))  # type: ignore[arg-type]
     assert json.dumps(info["seed"]) == "3"
-
-
-def test_global_randomness_is_left_alone() -> None:
-    """No reset, step or sample draws from, or changes, NumPy's global generator."""
-    before = np.random.get_state()[1].tolist()  # type: ignore[index,union-attr]
-    env = gem.make("test:Guess-v3")
-    env.reset()
-    env.step(env.sample_random_action())
-    assert np.random.get_state()[1].tolist() == before  # type: ignore[index,union-attr]
 
 
 def test_generator_before_reset_is_reproducible() -> None:
@@ -90,16 +62,6 @@ def test_generator_from_outside_is_kept_until_the_next_reset() -> None:
 
 
 # Random actions.
-
-
-def test_sampling_does_not_change_the_episode() -> None:
-    """Any number of sampled actions leaves the dynamics as they were."""
-    first, second = GuessEnv(), GuessEnv()
-    first.reset(4)
-    second.reset(seed=4)
-    for _ in range(10):
-        first.sample_random_action()
-    assert play(first) == play(second)
 
 
 def test_samples_follow_the_seed_of_the_episode_or_of_the_actions() -> None:

@@ -182,26 +182,19 @@ def test_reset_of_an_author_is_reached(task: Any, outer: Any) -> None:
 # The library's loop.
 
 
-def test_plain_step_on_the_library_loop_is_refused() -> None:
-    """A coroutine on the library's loop that calls the plain step is told to await instead."""
-    env = Guard(AsyncEchoEnv())
+def test_coroutines_of_an_environment_always_run_on_one_loop() -> None:
+    """From plain code and from any loop; plain code on the library's own is told to await instead."""
+    env: Any = Guard(AsyncEchoEnv())
     env.reset()
+    assert env.loop is background_loop()
+    assert asyncio.run(env.step_async("x"))[0] == "x1"
+    assert on_library_loop(env.step_async("z"))[0] == "z2"
 
     async def main() -> None:
         env.step("x")
 
     with pytest.raises(BridgeError, match="step_async"):
         on_library_loop(main())
-
-
-def test_coroutines_of_an_environment_always_run_on_one_loop() -> None:
-    """Plain code, the caller's own loop and the library's loop all reach the same loop of a made environment."""
-    env: Any = Guard(AsyncEchoEnv())
-    env.reset()
-    assert env.loop is background_loop()
-    assert asyncio.run(env.step_async("x"))[0] == "x1"
-    assert env.step("y")[0] == "y2"
-    assert on_library_loop(env.step_async("z"))[0] == "z3"
 
 
 @pytest.mark.parametrize("task", [EchoEnv, ThreadEchoEnv, AsyncEchoEnv])
@@ -234,53 +227,36 @@ def test_concurrency_is_what_the_whole_stack_needs(make: Any, needs: str) -> Non
 
 
 def test_public_attributes_are_read_from_the_inside() -> None:
-    """Anew each time; a name that nothing in the stack has is an AttributeError of the innermost class."""
+    """Anew each time, and no private ones; what nothing in the stack has is an error of the innermost class."""
     env: Any = Noting(gym_wrappers.OrderEnforcing(Guard(EchoEnv())))
     assert env.turns == 99
     env.unwrapped.turns = 3
+    env.unwrapped._secret = 1
     assert env.turns == 3
     with pytest.raises(AttributeError, match=r"'EchoEnv' .* 'trun'"):
         _ = Noting(Guard(EchoEnv())).trun
-
-
-def test_private_attributes_are_not_passed_on() -> None:
-    """A private name of the task is not an attribute of its wrapper."""
-    env: Any = Guard(EchoEnv())
-    env.unwrapped._secret = 1
-    with pytest.raises(AttributeError, match=r"'Guard' .* '_secret'"):
+    with pytest.raises(AttributeError, match=r"'Noting' .* '_secret'"):
         _ = env._secret
 
 
 def test_failing_property_of_a_wrapper_shows_its_own_error() -> None:
     """An AttributeError inside a wrapper's property is not covered by the task's attribute of that name."""
-
-    class Failing(Wrapper):
-        @property
-        def turns(self) -> int:
-            return self.env.no_such_name  # type: ignore[attr-defined,no-any-return]
-
+    failing: Any = type("Failing", (Wrapper,), {"turns": property(lambda self: self.env.no_such_name)})
     with pytest.raises(AttributeError, match="no_such_name"):
-        _ = Failing(EchoEnv()).turns
+        _ = failing(EchoEnv()).turns
 
 
 # Specification.
 
 
-def test_specification_lists_wrappers_and_not_the_implicit_ones() -> None:
-    """The specification has wrappers in order, with their options; make's own guard is not among them."""
+def test_specification_lists_wrappers() -> None:
+    """In order, with their options; one put by hand by its place and arguments; make's own guard is not among them."""
     env = gem.make("test:Echo-v0", wrappers=["episode_stats", ("turn_limit", {"max_turns": 3})])
-    assert env.spec.wrappers == (("episode_stats", {}), ("turn_limit", {"max_turns": 3}))  # type: ignore[union-attr]
-    assert gem.make("test:Echo-v0").spec.wrappers == ()  # type: ignore[union-attr]
+    listed = (("episode_stats", {}), ("turn_limit", {"max_turns": 3}))
+    assert env.spec.wrappers == listed  # type: ignore[union-attr]
+    for put in Noting(env, "q"), Noting(env, mark="q"), Noting(env=env, mark="q"):
+        assert put.spec.wrappers == (*listed, ("echo_env:Noting", {"mark": "q"}))
     assert Noting(EchoEnv()).spec is None
-
-
-@pytest.mark.parametrize(
-    "put", [lambda env: Noting(env, "q"), lambda env: Noting(env, mark="q"), lambda env: Noting(env=env, mark="q")]
-)
-def test_wrapper_put_by_hand_is_in_the_specification(put: Any) -> None:
-    """A wrapper that a program puts around is recorded by its place and arguments, and made again."""
-    env = put(gem.make("test:Echo-v0"))
-    assert env.spec.wrappers == (("echo_env:Noting", {"mark": "q"}),)
 
 
 # Another one.
