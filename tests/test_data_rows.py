@@ -139,18 +139,21 @@ def test_filter_and_map_by_function_and_by_name(lines: Path) -> None:
     assert list(load_rows(ROWS, row_filter=f"{__name__}:is_easy")) == ROWS[::3]
     with pytest.raises(EntryPointError, match="'is_eazy'"):
         load_rows(lines, row_filter=f"{__name__}:is_eazy")
-    with pytest.raises(DatasetError, match=r"row_filter .*'int'"):
-        load_rows(lines, row_filter=3)  # type: ignore[arg-type]
 
 
-def test_filter_or_map_that_fails_names_the_row(lines: Path) -> None:
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        ({"row_filter": lambda row: row["lvl"]}, r"row_filter .* row 0: KeyError: 'lvl'.*'problem'"),
+        ({"row_filter": lambda row: False}, "none of the 10 rows"),
+        ({"row_filter": 3}, r"row_filter .*'int'"),
+        ({"map_row": lambda row: None}, r"map_row .* NoneType"),
+    ],
+)
+def test_filter_or_map_that_fails_names_the_row(lines: Path, function: dict[str, Any], message: str) -> None:
     """With what it raised, and the row."""
-    with pytest.raises(DatasetError, match=r"row_filter .* row 0: KeyError: 'lvl'.*'problem'"):
-        load_rows(lines, row_filter=lambda row: row["lvl"])
-    with pytest.raises(DatasetError, match=r"map_row .* NoneType"):
-        load_rows(lines, map_row=lambda row: None)[0]
-    with pytest.raises(DatasetError, match="none of the 10 rows"):
-        load_rows(lines, row_filter=lambda row: False)
+    with pytest.raises(DatasetError, match=message):
+        load_rows(lines, **function)[0]
 
 
 @pytest.mark.parametrize(
@@ -223,9 +226,9 @@ def test_file_that_a_package_ships(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_without_the_library_the_error_names_the_command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """JSON needs no more than the core."""
+    path = write_as(".json", tmp_path)
     monkeypatch.setitem(sys.modules, "datasets", None)
-    (tmp_path / "sums.json").write_text(json.dumps(ROWS), encoding="utf-8")
-    assert len(load_rows(tmp_path / "sums.json")) == 10
+    assert len(load_rows(path)) == 10
     (tmp_path / "sums.csv").touch()
     with pytest.raises(MissingRequirementError, match=r"pip install 'gem-core\[datasets\]'"):
         load_rows(tmp_path / "sums.csv")

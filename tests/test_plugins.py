@@ -14,14 +14,13 @@ import json, sys
 from gem_core.registry.known_distributions import KNOWN_DISTRIBUTIONS
 from gem_core.registry.lookup import registry
 KNOWN_DISTRIBUTIONS["gem-absent"] = {"namespace": "absent"}  # all of this project's may be installed
-plugins = {}
-for plugin in registry().plugins():
-    failure = plugin.failure
-    plugins.setdefault(plugin.distribution, {
-        "name": plugin.name, "version": plugin.version, "disabled": plugin.disabled,
+plugins = {
+    plugin.distribution: {
+        "disabled": plugin.disabled, "version": plugin.version, "failure": plugin.failure and vars(plugin.failure),
         "records": sorted(getattr(record, "id", None) or record.name for record in plugin.records),
-        "failure": failure and {"stage": failure.stage, "error": failure.error, "traceback": failure.traceback},
-    })
+    }
+    for plugin in registry().plugins()
+}
 def attempt(call):
     try:
         return str(call())
