@@ -91,25 +91,6 @@ def test_random_actions_are_valid_and_seeds_decide(env_id: str) -> None:
 
 
 @pytest.mark.parametrize("env_id", IDS)
-@pytest.mark.parametrize("refused", [{0}, {1}, {0, 1, 2}], ids=str)
-def test_fork_goes_on_with_answers_that_were_refused(env_id: str, refused: set[int]) -> None:
-    """At every step, a refused answer, a forfeit and a move that waits for the other seat's included."""
-    env: Any = gem.make(env_id, render_mode="ansi")
-    assert env.render() == "The game has not begun."
-    for seed in range(3):
-        env.reset(seed=seed)
-        step = 0
-        while env.agents:
-            sibling = env.fork()
-            assert sibling.render() == env.render()
-            actions = {seat: env.sample_random_action(seat) for seat in env.acting}
-            if step in refused:
-                actions[env.acting[0]] = "rubbish"
-            assert sibling.step(actions) == env.step(actions)
-            step += 1
-
-
-@pytest.mark.parametrize("env_id", IDS)
 def test_refused_answer_is_told_to_that_seat_alone(env_id: str) -> None:
     """The same seat acts again; the other hears nothing of it, nor of what a seat thinks."""
     env: Any = gem.make(env_id)
@@ -173,3 +154,22 @@ def test_third_refused_answer_in_a_row_forfeits(env_id: str) -> None:
 def test_contract_is_kept(env_id: str) -> None:
     report = check_env(env_id)
     assert {"seats", "reasoning"} <= set(report.kept)
+
+
+@pytest.mark.parametrize("env_id", IDS)
+@pytest.mark.parametrize("refused", [{0}, {1}, {0, 1, 2}], ids=str)
+def test_fork_goes_on_with_answers_that_were_refused(env_id: str, refused: set[int]) -> None:
+    """At every step, a refused answer, a forfeit and a move that waits for the other seat's included."""
+    env: Any = gem.make(env_id, render_mode="ansi")
+    assert env.render() == "The game has not begun."
+    for seed in range(3):
+        env.reset(seed=seed)
+        step = 0
+        while env.agents:
+            sibling = env.fork()
+            assert sibling.render() == env.render()
+            actions = {seat: env.sample_random_action(seat) for seat in env.acting}
+            if step in refused:
+                actions[env.acting[0]] = "rubbish"
+            assert sibling.step(actions) == env.step(actions)
+            step += 1

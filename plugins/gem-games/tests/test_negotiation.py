@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import gem_core as gem
 from gem_core.errors import AgentError, ArgumentError
@@ -150,18 +148,6 @@ def test_best_deals() -> None:
         Split((2, 1, 0), 10, 6),
     ]
     assert best_joint_value(POOL, FIRST, SECOND) == 18
-
-
-@given(st.integers(0, 10_000))
-def test_best_joint_value_lies_on_the_frontier(seed: int) -> None:
-    """And no deal beats one on it in both values."""
-    env = NegotiationEnv()
-    env.reset(seed=seed)
-    given_values = env.pool, env.values["first"], env.values["second"]
-    frontier = pareto_frontier(*given_values)
-    assert max(split.first + split.second for split in frontier) == best_joint_value(*given_values)
-    for split in splits(*given_values):
-        assert any(best.first >= split.first and best.second >= split.second for best in frontier)
 
 
 def negotiated(first: NegotiationAgent, second: NegotiationAgent, episodes: int = 200) -> tuple[float, float, float]:

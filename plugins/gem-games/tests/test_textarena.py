@@ -9,7 +9,6 @@ import random
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -219,29 +218,6 @@ def test_where_nothing_is_valid_the_game_ends(refused):
     assert info["textarena"]["turn_count"] > 3
 
 
-def test_a_game_that_is_over_has_no_moves():
-    env = TextArenaEnv("MemoryGame-v0", players=2)
-    _play(env, seed=1, turns=200)
-    assert env.table.done
-    assert env.sample_random_action() == NO_MOVE
-
-
-def _state(**game_state):
-    return SimpleNamespace(state=SimpleNamespace(game_state=game_state, current_player_id=0))
-
-
-@pytest.mark.parametrize(
-    ("game", "state", "moves"),
-    [
-        ("2048", {"board": [[2, 0], [4, 0]]}, ["[Right]"]),
-        ("Chopsticks", {"hands": {0: [0, 2], 1: [1, 0]}}, ["[attack 1 0]", "[split 1 1]", "[split 2 0]"]),
-        ("TowerOfHanoi", {"towers": {"A": [3, 2], "B": [1], "C": []}}, ["[A C]", "[B A]", "[B C]"]),
-    ],
-)
-def test_samplers_list_all_that_is_valid(game: str, state: dict[str, Any], moves: list[str]) -> None:
-    assert SAMPLERS[game](_state(**state), random.Random(1)) == moves
-
-
 def seen(env_id: str, players: int, turns: int) -> tuple[list[str], list[str]]:
     """Return what the agent and the other seats see in a game in which all give reasons for random moves."""
     asked: list[str] = []
@@ -285,13 +261,6 @@ def test_the_move_of_another_seat_is_seen_by_its_brackets_or_the_games_descripti
     assert "but" not in observation
     assert "[Player 1]" not in observation
     assert "[GAME] Player 1 dropped their disk (O) into column" in observation
-
-
-def test_a_thought_is_no_move() -> None:
-    env = TextArenaEnv("TicTacToe-v0", players=2, opponents=lambda _: "[8]")
-    env.reset(seed=1)
-    *_, info = env.step("<think>Not [0].</think>[4]")
-    assert env.table.actions[0] == info["parsed_action"] == "[4]"
 
 
 def test_announcements_are_no_board() -> None:

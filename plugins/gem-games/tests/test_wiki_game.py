@@ -54,15 +54,6 @@ def test_rewards_of_a_way(variant: str, titles: list[str], rewards: list[float],
     assert results[-1][4].get("correct", False) == (end == "Goal")
 
 
-def test_opening_says_what_a_player_must_know() -> None:
-    env = WikiGameEnv(10, articles=SMALL)
-    observation, info = env.reset(seed=0, options=PAIR)
-    assert observation == info["feedback"] + info["suffix"]
-    for said in ("Start at Sea and reach Goal", "You have 10 turns.", "A sea has a Coast and an End, and"):
-        assert said in observation
-    assert "Links from here:\n- Coast\n- End\n- River\nTurns left: 10." in observation
-
-
 def test_wrong_title_names_the_nearest_link() -> None:
     env = small_game()
     for answer, meant in {"Moon": None, "coast": "'Coast'", "Riv": "'River'"}.items():
@@ -131,14 +122,6 @@ def test_long_lists_of_links_come_in_parts() -> None:
 )
 def test_page_summary_length(length: Any, shown: str) -> None:
     assert f"Coast.\n{shown}\nLinks" in small_game(page_summary_length=length).step(box("Coast"))[0]
-
-
-def test_drawing_shows_the_way() -> None:
-    env = small_game()
-    env.render_mode = "ansi"
-    env.step(box("Coast"))
-    env.step(box("Sand"))
-    assert "Sea → Coast → \x1b[0m\x1b[1mSand\x1b[0m   (target: \x1b[32mGoal" in str(env.render())
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from gem_terminal.tasks.task import Task
 
 REAL = (
+    "test_docker_files",
+    "test_docker_images",
     "test_docker_machines",
     "test_docker_services",
     "test_docker_leftovers",

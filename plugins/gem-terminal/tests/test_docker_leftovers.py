@@ -65,21 +65,6 @@ def test_an_interpreter_that_ends_leaves_nothing(task: Task, tmp_path: Path, run
     assert left(run_label) == []
 
 
-def test_what_could_not_be_removed_is_removed_at_the_end(
-    backend: DockerBackend, task: Task, run_label: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As when the engine was busy for a while."""
-
-    def hang(*_: object, **__: object) -> None:
-        raise requests.ReadTimeout("timed out")
-
-    with monkeypatch.context() as patch, backend.start(task, SMALL):
-        patch.setattr(Client, "remove_container", hang)
-    assert [line.split()[0] for line in left(run_label)] == ["container"]
-    backend.close()
-    assert left(run_label) == []
-
-
 def test_a_forked_child_leaves_its_parents_machines_alone(backend: DockerBackend, task: Task) -> None:
     """It can have its own, on connections of its own, and ends without touching its parent's."""
     with backend.start(task, SMALL) as machine:
@@ -157,3 +142,18 @@ def test_what_has_expired_is_removed_whoever_owns_it(backend: DockerBackend, run
     assert f"volume volume {run_label}-old" in sweep(backend.engine)
     assert left(run_label) == [f"volume {run_label}-new"]
     client.remove_volume(f"{run_label}-new")
+
+
+def test_what_could_not_be_removed_is_removed_at_the_end(
+    backend: DockerBackend, task: Task, run_label: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As when the engine was busy for a while."""
+
+    def hang(*_: object, **__: object) -> None:
+        raise requests.ReadTimeout("timed out")
+
+    with monkeypatch.context() as patch, backend.start(task, SMALL):
+        patch.setattr(Client, "remove_container", hang)
+    assert [line.split()[0] for line in left(run_label)] == ["container"]
+    backend.close()
+    assert left(run_label) == []

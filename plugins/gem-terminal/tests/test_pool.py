@@ -83,13 +83,6 @@ def test_take_gets_the_machine_that_was_made_ready_before(setting: Setting) -> N
     assert len(setting.backend.made) == 2
 
 
-def test_start_that_is_under_way_serves_the_reset_that_comes_meanwhile(setting: Setting) -> None:
-    """Nothing is started twice."""
-    setting.prestart_held()
-    assert setting.take() is setting.backend.made[0]
-    assert len(setting.backend.made) == 1
-
-
 def test_start_under_way_when_its_user_leaves_is_removed(setting: Setting) -> None:
     """It arrives, and is gone."""
     setting.prestart_held()
@@ -204,3 +197,10 @@ def test_forgotten_owner_gives_back_everything() -> None:
     setting.user = None
     gc.collect()
     assert until(lambda: setting.backend.live == {})
+
+
+def test_start_that_is_under_way_serves_the_reset_that_comes_meanwhile(setting: Setting) -> None:
+    """Nothing is started twice."""
+    setting.prestart_held()
+    assert setting.take() is setting.backend.made[0]
+    assert len(setting.backend.made) == 1

@@ -173,27 +173,19 @@ def test_folders_of_logs_are_volumes_only_where_they_are_shared(tmp_path: Path) 
     assert shared.main.volumes == shared.services["web"].volumes == {"logs": "/logs"}
 
 
+KEYS = """privileged: true, cap_add: [SYS_ADMIN], devices: ['/dev/kvm:/dev/kvm'], pid: host, ipc: host,
+userns_mode: host, security_opt: ['seccomp:unconfined'], extra_hosts: ['host.docker.internal:host-gateway'],
+extends: {file: x.yaml, service: y}, secrets: [key], sysctls: {net.ipv4.ip_forward: 1}"""
 REFUSED = {
-    "privileged: true": "privileged",
-    "cap_add: [SYS_ADMIN]": "cap_add",
-    "devices: ['/dev/kvm:/dev/kvm']": "devices",
-    "pid: host": "pid",
-    "ipc: host": "ipc",
-    "userns_mode: host": "userns_mode",
-    "security_opt: ['seccomp:unconfined']": "security_opt",
-    "extra_hosts: ['host.docker.internal:host-gateway']": "extra_hosts",
-    "extends: {file: x.yaml, service: y}": "extends",
-    "secrets: [key]": "secrets",
-    "sysctls: {net.ipv4.ip_forward: 1}": "sysctls",
+    KEYS: "privileged cap_add devices pid ipc userns_mode security_opt extra_hosts extends secrets sysctls",
     "deploy: {resources: {reservations: {devices: [{driver: x}]}}}": "deploy.resources.reservations.devices",
-    "network_mode: host": "network_mode",
+    "network_mode: host": "host",
     "network_mode: 'service:db'": "service:db",
     "volumes: ['/var/run/docker.sock:/var/run/docker.sock']": "/var/run/docker.sock",
     "volumes: ['./data:/data:ro']": "./data",
-    "volumes: [{type: bind, source: /, target: /host}]": "/host",
+    "volumes: [{type: bind, source: /, target: /host}]": "/",
     "volumes: ['/.gem-terminal/../etc:/etc']": "/.gem-terminal/../etc",
     "deploy: {replicas: 3}": "deploy.replicas",
-    "networks: {default: {aliases: [a, b]}}": "a, b",
 }
 
 
@@ -201,9 +193,7 @@ REFUSED = {
 def test_what_reaches_for_the_host_is_never_granted(tmp_path: Path, text: str) -> None:
     """The task can be read, and says why it cannot be run."""
     found = client(tmp_path, text).environment
-    (said,) = found.unsupported
-    assert said.startswith("docker-compose.yaml: the service 'client' asks for ")
-    assert REFUSED[text] in said
+    assert {said.split("'")[3] for said in found.unsupported} == set(REFUSED[text].split())
     assert found.main.volumes == {}
 
 

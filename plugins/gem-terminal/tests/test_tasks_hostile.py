@@ -171,15 +171,6 @@ FUZZ = settings(suppress_health_check=[HealthCheck.too_slow])
 
 
 @FUZZ
-@given(st.lists(WORD | st.text(max_size=5), max_size=30), st.sampled_from([" ", "\n", ": ", "\n  "]))
-@example(["services:", "{client:", "{build:", ".}}"], " ")
-def test_any_yaml_is_a_task_or_a_task_error(words: list[str], joint: str) -> None:
-    """In each of the files."""
-    for file in ("task.yaml", "docker-compose.yaml", "solution.yaml", ".env", "test_weights.json"):
-        read_or_refuse(file, joint.join(words).encode("utf-8", "surrogatepass"), TERMINAL_BENCH)
-
-
-@FUZZ
 @given(st.dictionaries(WORD, VALUES, max_size=5))
 def test_any_service_is_a_task_or_a_task_error(service: dict[str, object]) -> None:
     """JSON is YAML, so that every value arrives."""
