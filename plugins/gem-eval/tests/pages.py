@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from html.parser import HTMLParser
 
 VOID = {"meta", "br", "wbr", "input", "link"}
+
+
+def hash_of(text: str) -> str:
+    """The source expression of a policy that allows exactly this text."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 class Page(HTMLParser):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
 import re
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pages import Page
+from pages import Page, hash_of
 from PIL import Image
 from recorded import HOSTILE, hostile, maze, turn, write_all
 
@@ -36,11 +35,6 @@ def page_of(*episodes: Episode, folder: Path = Path("none")) -> Page:
 
 def data_of(page: Page) -> Any:
     return json.loads(page.raw["script"][0])
-
-
-def hash_of(text: str) -> str:
-    """The source expression that allows exactly this text."""
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 @pytest.fixture

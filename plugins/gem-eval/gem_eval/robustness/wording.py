@@ -21,14 +21,6 @@ _OPENINGS = (
 _CLOSINGS = ("\n\nThank you!", "\n\nThanks in advance.", "\n\nI look forward to your answer.")
 
 _WORDS = re.compile(r"(?<![\w'\\-])[a-z]{5,}+(?![\w'-])")
-_MISTAKABLE = {
-    "barely", "barley", "casual", "causal", "complaint", "compliant", "dairy", "diary", "farmer", "framer", "field",
-    "filed", "fired", "fried", "forth", "froth", "marital", "martial", "perfect", "prefect", "piles", "plies",
-    "sacred", "scared", "salve", "slave", "signed", "singed", "signer", "singer", "silver", "sliver", "spilt",
-    "split", "there", "three", "tired", "tried", "today", "toady", "trail", "trial", "united", "untied",
-}  # fmt: skip
-"""Words that two exchanged letters would turn into others."""
-
 # What is quoted or is no language: code, formulas, tags with what they hold, brackets, links and file names.
 _QUOTED = re.compile(
     r"`[^`\n]*`|\"[^\"\n]*\"|“[^”\n]*”|(?<!\w)'[^'\n]*'(?!\w)|\$[^$\n]*\$|\\[a-zA-Z]+(?:\{[^{}\n]*\})*"
@@ -119,7 +111,7 @@ class Typos(_Wording):
 
     def _misspell(self, found: re.Match[str]) -> str:
         word = found[0]
-        if word in _MISTAKABLE or not self.happens():
+        if not self.happens():
             return word
         place = 1 + self.below(len(word) - 3)
         return word[:place] + word[place + 1] + word[place] + word[place + 2 :]
