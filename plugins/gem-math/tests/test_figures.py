@@ -16,7 +16,6 @@ from PIL import Image
 
 import gem_core as gem
 from gem_core.errors import DatasetError
-from gem_core.records import read_episodes
 from gem_core.testing import check_env
 from gem_math.figures.env import FigureEnv
 from gem_math.figures.images import images_of
@@ -63,14 +62,6 @@ def test_the_gold_answer_is_right_and_another_is_not() -> None:
             assert env.step(f"It is \\boxed{{{answer}}}.")[1] == reward
 
 
-def test_figures_are_many_and_none_comes_twice() -> None:
-    """Their number stands in the listing."""
-    assert len(GEOMETRY) == 115
-    assert len({figure.tobytes() for figure in FIGURES}) == 115
-    assert "115 problems" in gem.spec("math:GeometrySample").summary
-    assert len({each["kind"] for each in GEOMETRY[:23]}) == 23
-
-
 def test_the_numbers_stand_in_the_figure_alone() -> None:
     """Without it nobody knows the answer: each problem of a kind reads alike, or asks something else."""
     for each in GEOMETRY:
@@ -87,18 +78,6 @@ def test_the_script_draws_the_figures() -> None:
     code = "import json, math_sample\nprint(json.dumps(list(math_sample.figure_rows())))"
     done = subprocess.run([sys.executable, "-c", code], cwd=SCRIPTS, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout) == GEOMETRY
-
-
-def test_figures_are_legible() -> None:
-    """No line or label is cut off at an edge: all of them are white."""
-    for each, figure in zip(GEOMETRY, FIGURES, strict=True):
-        image = figure.convert("L")
-        width, height = image.size
-        assert 250 <= width <= 440
-        assert 200 <= height <= 500
-        edges = [image.crop(box) for box in ((0, 0, width, 2), (0, height - 2, width, height))]
-        edges += [image.crop(box) for box in ((0, 0, 2, height), (width - 2, 0, width, height))]
-        assert all(edge.getextrema()[0] > 250 for edge in edges), each["kind"]
 
 
 def test_answers_are_graded_as_those_of_other_problems() -> None:
@@ -190,96 +169,6 @@ def test_wrong_columns_are_told() -> None:
         FigureEnv([row(SQUARE, "<image><image>")]).reset(seed=0)
 
 
-def test_geometry3k_has_the_columns_of_the_peer() -> None:
-    """From the hub, so that it is not loaded here."""
-    spec = gem.spec("math:Geometry3K")
-    assert dict(spec.kwargs) == {"dataset_name": "axon-rl/geometry3k", "split": "train"}
-    assert spec.requires == ("hub",)
-
-
-def test_rows_of_the_package_datasets_are_taken(tmp_path: Path) -> None:
-    """A column of images in a ``Dataset``, and in a Parquet file with its bytes inside."""
-    datasets = pytest.importorskip("datasets")
-    features = datasets.Features(
-        {
-            "problem": datasets.Value("string"),
-            "answer": datasets.Value("string"),
-            "images": datasets.Sequence(datasets.Image()),
-        }
-    )
-    table = datasets.Dataset.from_list([row([{"bytes": png(), "path": None}])] * 2, features=features)
-    path = tmp_path / "figures.parquet"
-    table.to_parquet(str(path))
-    for env in (FigureEnv(table), FigureEnv(dataset_name=path)):
-        observation, _ = env.reset(options={"index": 1})
-        assert kinds_of(observation) == ["image", "text"]
-        assert observation[0]["image"].tobytes() == SQUARE.tobytes()
-
-
 def test_the_contract_is_kept() -> None:
     """With all its promises."""
     check_env("math:GeometrySample")
-
-
-def answers(observation: Any, context: Any) -> str:
-    """Know the figure, and answer every second one."""
-    by_hash = {figure.tobytes(): each["answer"] for figure, each in zip(FIGURES, GEOMETRY, strict=True)}
-    (image,) = [part["image"] for part in observation if part["type"] == "image"]
-    return f"\\boxed{{{by_hash[image.tobytes()]}}}" if context.info["index"] % 2 else "no"
-
-
-@pytest.mark.parametrize("backend", ["sync", "async", "process"])
-@pytest.mark.few(2)
-def test_images_go_through_every_backend(backend: str) -> None:
-    """Unharmed, as an agent that knows them by their pixels shows."""
-    vector = gem.make_vec("math:GeometrySample", 2, backend=backend, seed=1)
-    episodes = sorted(gem.rollout(vector, answers, episodes=6), key=lambda episode: episode.info["index"])
-    assert [episode.success for episode in episodes] == [False, True] * 3
-
-
-@pytest.mark.thorough
-def test_a_run_writes_images_beside_it_and_reads_them_back(tmp_path: Path) -> None:
-    """Each once, named by its hash; ``gem play`` tells where."""
-    path = tmp_path / "run.jsonl"
-    command = [sys.executable, "-m", "gem_core"]
-    subprocess.run(
-        [
-            *command,
-            "run",
-            "math:GeometrySample",
-            "--agent",
-            "random",
-            "--episodes",
-            "3",
-            "--seed",
-            "1",
-            "--out",
-            str(path),
-        ],
-        check=True,
-        capture_output=True,
-    )
-    episodes = list(read_episodes(path))
-    assert sorted(episode.info["index"] for episode in episodes) == [0, 1, 2]
-    for episode in episodes:
-        expected = FIGURES[episode.info["index"]]
-        image = episode.observation[0]["image"]  # type: ignore[index]
-        assert (image.size, image.tobytes()) == (expected.size, expected.tobytes())
-    written = {json.dumps(json.loads(line)["observation"][0]) for line in path.read_text().splitlines()}
-    assert len(written) == len(list((tmp_path / "run.images").iterdir())) == 3
-    played = subprocess.run(
-        [*command, "play", "math:GeometrySample", "--seed", "1"],
-        input="7\n",
-        capture_output=True,
-        text=True,
-        check=False,
-    ).stdout
-    assert "[image " in played
-
-
-def test_views_keep_the_images() -> None:
-    """The chat views put them into messages, and ``concat`` into its parts."""
-    messages, _ = gem.make("math:GeometrySample", wrappers="messages").reset(options={"index": 2})
-    assert kinds_of(messages[-1]["content"]) == ["image", "text"]
-    parts, _ = gem.make("math:GeometrySample", wrappers="concat").reset(options={"index": 2})
-    assert kinds_of(parts) == ["image", "text"]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
+import subprocess
+import sys
 from typing import Any
 
 import pytest
 
-import gem_core as gem
 from gem_core.errors import ArgumentError
 from gem_core.testing import check_env, check_plugin
 from gem_math import MathEnv, grade
@@ -34,22 +33,16 @@ def test_the_contract_holds():
     check_env("math:Sample")
 
 
-def test_importing_the_package_loads_no_grader():
-    """The names that gem_math offers are imported when they are used."""
-    import subprocess
-    import sys
-
-    code = "import sys, gem_math, gem_math._plugin; print({'mpmath', 'sympy', 'math_verify'} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "set()\n"
-
-
-def test_grading_loads_no_computer_algebra():
-    """sympy, which takes a second to load, is loaded by the processes alone."""
-    import subprocess
-    import sys
-
-    code = "import sys, gem_math; gem_math.grade('1/2', '0.5'); print({'sympy', 'math_verify'} & set(sys.modules))"
+@pytest.mark.parametrize(
+    ("code", "heavy"),
+    [
+        ("import gem_math, gem_math._plugin", {"mpmath", "sympy", "math_verify"}),
+        ("import gem_math; gem_math.grade('1/2', '0.5'); gem_math.grade('2x', 'x+x')", {"sympy", "math_verify"}),
+    ],
+)
+def test_what_takes_a_second_to_load_is_loaded_by_the_processes_alone(code: str, heavy: set[str]):
+    """Neither the import nor a simple answer needs it."""
+    code = f"import sys; {code}; print({heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
 
@@ -57,19 +50,10 @@ def test_grading_loads_no_computer_algebra():
 def test_right_and_wrong_answers():
     """The reward is 1 or 0; info says the verdict, what was read, and why."""
     env = MathEnv([ROW])
-    assert step(env, r"Six sevens: \boxed{42.0}") == (
-        1.0,
-        True,
-        False,
-        {"task_id": "0", "index": 0, "correct": True, "parsed_action": "42.0", "reason": "it equals the reference"},
-    )
-    assert step(env, r"\boxed{43}")[3] == {
-        "task_id": "0",
-        "index": 0,
-        "correct": False,
-        "parsed_action": "43",
-        "reason": "it is not the reference",
-    }
+    reward, terminated, truncated, info = step(env, r"Six sevens: \boxed{42.0}")
+    assert (reward, terminated, truncated, info["correct"], info["parsed_action"]) == (1.0, True, False, True, "42.0")
+    reward, _, _, info = step(env, r"\boxed{43}")
+    assert (reward, info["correct"], info["reason"]) == (0.0, False, "it is not the reference")
     assert step(env, "<answer>42</answer>")[0] == 1.0
     assert step(env, r"\boxed{41} no, \boxed{42}")[0] == 1.0
     assert step(env, r"\boxed{42} no, \boxed{41}")[0] == 0.0
@@ -112,16 +96,7 @@ def test_partial_credit(answer: str, reward: float):
 
 @pytest.mark.parametrize(
     "gold",
-    [
-        "6 * 7 = <<6*7=42>>42\n#### 42",
-        "#### 42",
-        42,
-        42.0,
-        ["41 + 1"],
-        ["no", "42"],
-        r"So the answer is $\boxed{42}$.",
-        "$42$",
-    ],
+    ["6 * 7 = <<6*7=42>>42\n#### 42", "#### 42", 42, 42.0, ["41 + 1"], ["no", "42"], r"It is $\boxed{42}$.", "$42$"],
 )
 def test_forms_of_the_gold_column(gold: object):
     """GSM8K's mark, a box, a number, a list of which each is right."""
@@ -163,53 +138,19 @@ def test_random_action_is_a_gold_answer_alone():
     assert env.sample_random_action() == r"\boxed{42}"
 
 
-def test_one_register_call_adds_a_file(tmp_path: Path):
-    """A file in GSM8K's form, with a template, run from its id."""
-    file = tmp_path / "mine.jsonl"
-    rows = [{"question": f"What is {n} plus {n}?", "answer": f"{n}+{n}={2 * n}\n#### {2 * n}"} for n in range(5)]
-    file.write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
-    template = "{question} Put the answer into \\boxed{}."
-    gem.register("math:TestMine", "gem_math:MathEnv", dataset_name=str(file), prompt_template=template)
-    episodes = list(gem.rollout("math:TestMine", lambda text: rf"\boxed{{{2 * int(text.split()[2])}}}"))
-    assert all(str(episode.observation).endswith("into \\boxed{}.") for episode in episodes)
-    assert sorted(episode.transitions[-1].info["correct"] for episode in episodes) == [True] * 5
-
-
-@pytest.mark.thorough
-def test_process_backend_grades(tmp_path: Path):
-    """Environments in worker processes have their own graders."""
-    vec = gem.make_vec("math:Sample", num_envs=2, backend="process", seed=0)
-    try:
-        vec.reset()
-        _, rewards, terminated, _, infos = vec.step([r"\boxed{\sum_{k=1}^{3} k}", "no answer"])
-        assert list(rewards) == [0.0, 0.0]
-        assert list(terminated) == [True, True]
-        assert "error" not in infos[0]["final_info"]
-    finally:
-        vec.close()
-
-
 def test_ids_are_the_peers():
-    """Ids, data sets, splits and columns as gem-llm's registry has them."""
-    columns = {"question_key": "problem", "answer_key": "answer"}
-    train = {"ASDiv2K": "ASDIV-2k", "GSM8K": "GSM-8k", "Math12K": "MATH-12k", "Math8K-3to5": "MATH-lvl3to5-8k",
-             "Orz57K": "ORZ-57k", "DeepScaleR40K": "DeepScaleR-40K"}  # fmt: skip
-    tests = {
-        "MATH500": "math",
-        "AMC": "amc",
-        "OlympiadBench": "olympiad_bench",
-        "Minerva": "minerva",
-        "AIME24": "aime24",
-    }
-    expected = {f"math:{name}": {"dataset_name": f"axon-rl/{data}", **columns} for name, data in train.items()}
-    expected |= {
-        f"eval:{name}": {"dataset_name": "axon-rl/math-eval", "split": split, **columns}
-        for name, split in tests.items()
-    }
-    specs = {spec.id: spec for spec in math_specs()}
-    assert specs.pop("math:Sample").requires == ()
-    assert {env_id: dict(spec.kwargs) for env_id, spec in specs.items()} == expected
-    assert {spec.requires for spec in specs.values()} == {("hub",)}
+    """Ids, data sets and splits as gem-llm's registry has them."""
+    peers = """math:ASDiv2K ASDIV-2k|math:GSM8K GSM-8k|math:Math12K MATH-12k|math:Math8K-3to5 MATH-lvl3to5-8k
+        |math:Orz57K ORZ-57k|math:DeepScaleR40K DeepScaleR-40K|eval:MATH500 math-eval math|eval:AMC math-eval amc
+        |eval:OlympiadBench math-eval olympiad_bench|eval:Minerva math-eval minerva|eval:AIME24 math-eval aime24"""
+    expected = {env_id: rest for env_id, *rest in map(str.split, peers.split("|"))}
+    specs = {spec.id: spec for spec in math_specs() if spec.id != "math:Sample"}
+    assert specs.keys() == expected.keys()
+    for env_id, spec in specs.items():
+        name, *split = expected[env_id]
+        columns = {"question_key": "problem", "answer_key": "answer"}
+        assert spec.kwargs == {"dataset_name": f"axon-rl/{name}", **columns, **({"split": split[0]} if split else {})}
+        assert spec.requires == ("hub",)
 
 
 @pytest.mark.parametrize("text", ["The answer is 42.", "42", "Final answer: $42$", "So we get $x = 42$ in the end."])

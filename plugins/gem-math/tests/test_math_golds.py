@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,28 +11,9 @@ from hypothesis import strategies as st
 from gem_math import grade
 
 # As in MATH, OlympiadBench, Minerva, DeepMath, Omni-MATH and college mathematics, with their slips.
-CORES = ["5", r"\frac{1}{2}", "x+1", r"\sqrt{2}", r"\text{yes}", "(1,2)", r"\{1,2\}", "x=3", r"2\pi", "[0,1)"]
-AROUND = [
-    r"# \\", r"\, #", r"# \text{ units}^2", r"# \mathrm{~min}", r"# \mathrm{~sec}", r"# \mathrm{~m} / \mathrm{s}^{2}",
-    r"#^{\circ} \mathrm{C}", r"\$ #", r"# \%", r"\left. # \right.", r"\left( # \right)", "$#$", r"\boxed{#}", "#.",
-    r"\displaystyle{#}", r"{\rm #}", r"\textbf{(A)} #", r"# \text{ or } #", "i = #", "e = #", "y = #", "# = #",
-    r"# \cup (3,4)", r"# \bigcup #", r"\bigcup_{k \in \mathbb{Z}} #", r"# \pmod{5}", r"x \equiv # \pmod{7}",
-    r"# (\text{mod } 5)", r"# \text{ for all } n \ge 1", r"\begin{aligned} # \end{aligned}", r"# : 3", r"# \neq 2",
-    r"\begin{pmatrix} # \\ # \end{pmatrix}", r"\begin{cases} # & x > 0 \\ 0 & \text{otherwise} \end{cases}",
-    r"\left\{\begin{array}{l} # \\ # \end{array}\right.", r"\max\{#, 3\}", r"f(#) = 3", r"# + C", r"\unknown{#} z",
-    r"\int_0^# x\, dx", r"#, \ldots, n", r"\overset{\frown}{AB} = #", r"# \Rightarrow y", r"{\{#", r"\frac{#}{",
-    r"\sqrt{#", "(#", "#)", r"\left( #", r"\begin{cases} #", r"# ^", "_ #", r"# \frac", "# & 3", "<#>", '"#"', "=#",
-]  # fmt: skip
-WHOLE = [
-    r"\text{no solution}", r"\text{Monday}", "Bob wins for n even, Alice for n odd", "See proof", r"\text{(D)}", "C",
-    r"\text{A, B}", "July 4, 2020", "3:30 p.m.", r"2 \text{ hours } 30 \text{ minutes}", r"5'6\"", r"120_8",
-    r"2\frac{1}{3}", "1,234,567", r"10{,}080", "2^{2^{2^{2}}}", r"\$18{,}000", r"1.6e-19", r"-31.4 \mathrm{~kJ}",
-    r"\mathbb{Z}_{2} \times \mathbb{Z}_{3}", r"O(n \log n)", r"a \mid b", r"\forall x", r"A \setminus B", r"\square",
-    r"x \in (-\infty,2)\cup(3,\infty)", r"\mathbb{R} \setminus \{0\}", r"y = C_1 e^{x} + C_2 e^{-x}", "±3", "→ 3", "五",
-    r"\lim_{x\to 0} \frac{\sin x}{x}", r"\underbrace{11\cdots1}_{n}", "1^2^3", "x__2", "(1,,2)", "(,)", "5=", "x<",
-    r"\textcolor{red}{5}", r"\$", "?", "-", r"\frac", "x" * 5000, "1," * 300 + "1", r"\oint \mathfrak{g}",
-]  # fmt: skip
-GOLDS = [around.replace("#", core) for around in AROUND for core in CORES] + WHOLE
+LINES = (Path(__file__).parent / "golds.txt").read_text(encoding="utf-8").strip().split("\n\n")
+CORES, AROUND, WHOLE = map(str.splitlines, LINES)
+GOLDS = [around.replace("#", core) for around in AROUND for core in CORES] + [*WHOLE, "x" * 5000, "1," * 300 + "1"]
 
 
 @pytest.mark.parametrize("part", range(4))

@@ -91,16 +91,6 @@ def test_long_and_odd_answers_are_wrong(name: str):
     assert time.process_time() - before < 20.0
 
 
-@pytest.mark.parametrize(
-    "opening", [[r"\("], [r"\["], ["$", "\n"], ["$$"], [r"\[", "$$", "$", r"\("], [r"\(", "\n", r"\["]]
-)
-def test_marks_that_are_never_closed_take_linear_work(opening: list[str]):
-    """A response full of them is answered at once."""
-    before = time.process_time()
-    assert not grade("".join(opening * 10_000), "6", timeout_s=0.5).correct
-    assert time.process_time() - before < 5.0
-
-
 @pytest.mark.parametrize("name", ["tower", "long sum", "factorials", "binomial"])
 @pytest.mark.few(1)
 def test_hostile_gold_answer_is_compared_as_text(name: str):
@@ -110,11 +100,6 @@ def test_hostile_gold_answer_is_compared_as_text(name: str):
     assert found.reason == (
         "it is not written like the reference, and cannot be compared otherwise: it took more than 0.5 s"
     )
-
-
-def test_hostile_gold_answer_spelled_alike_is_right():
-    """What is written like the gold answer needs no computing."""
-    assert grade(boxed(HOSTILE["tower"]), HOSTILE["tower"]).correct
 
 
 @pytest.mark.parametrize("gold", ["", " ", None, [], [""], {"a": 1}, [["1"]], [None]])
@@ -136,17 +121,9 @@ def test_a_fault_of_the_grader_is_an_error(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.parametrize(
     "wrapped",
-    [
-        "{}",
-        r"\text{{{}}}",
-        "${}$",
-        r"\operatorname{{{}}}",
-        "x = {}",
-        "({}, 1)",
-        r"\frac{{{}}}{{2}}",
-        r"\sum_{{k=1}}^{{3}} {}",
-    ],
-)
+    ["{}", r"\text{{{}}}", "${}$", r"\operatorname{{{}}}", "x = {}", "({}, 1)", r"\frac{{{}}}{{2}}",
+     r"\sum_{{k=1}}^{{3}} {}"],
+)  # fmt: skip
 @pytest.mark.parametrize(
     "code",
     [
@@ -203,17 +180,6 @@ def test_limit_holds_in_many_threads():
 
     with ThreadPoolExecutor(12) as threads:
         assert list(threads.map(run, jobs)) == [True] * 12
-
-
-@pytest.mark.thorough
-def test_waiting_for_a_process_does_not_count():
-    """Many threads and few processes: a good answer is right however long it waits for its turn."""
-    blocked = [threading.Thread(target=grade, args=(boxed(HOSTILE["tower"]), "6")) for _ in range(6)]
-    for thread in blocked:
-        thread.start()
-    assert grade(boxed(ASKED[0]), ASKED[1], timeout_s=20).correct
-    for thread in blocked:
-        thread.join()
 
 
 @pytest.mark.thorough

@@ -18,69 +18,27 @@ pytest.importorskip("reasoning_gym", reason="rg:* needs gem-math[reasoning-gym],
 pytestmark = pytest.mark.thorough
 
 READERS = {"eval", "exec", "parse_expr", "sympify", "compile", "__import__", "literal_eval", "loads", "system", "Popen"}
-HARMLESS = {
-    # What each of these reads is the library's own, or JSON.
-    ("algorithmic.game_of_life", "loads"),
-    ("algorithmic.graph_color", "loads"),
-    ("algorithmic.group_anagrams", "loads"),
-    ("algorithmic.jugs", "loads"),
-    ("algorithmic.number_sorting", "loads"),
-    ("algorithmic.palindrome_partitioning", "loads"),
-    ("arithmetic.basic_arithmetic", "eval"),
-    ("arithmetic.bitwise_arithmetic", "eval"),
-    ("arithmetic.gsm_symbolic.generators_00_49", "eval"),
-    ("arithmetic.gsm_symbolic.generators_50_99", "eval"),
-    ("code.bf", "compile"),
-    ("code.codeio", "exec"),
-    ("code.codeio", "loads"),
-    ("cognition.figlet_fonts", "loads"),
-    ("cognition.rubiks_cube", "compile"),
-    ("games.boxnet", "loads"),
-    ("games.countdown", "compile"),
-    ("games.knight_swap", "loads"),
-    ("logic.propositional_logic", "parse_expr"),
-}
+# What each of these reads is the library's own, or JSON.
+HARMLESS = """algorithmic.game_of_life loads|algorithmic.graph_color loads|algorithmic.group_anagrams loads
+    |algorithmic.jugs loads|algorithmic.number_sorting loads|algorithmic.palindrome_partitioning loads
+    |arithmetic.basic_arithmetic eval|arithmetic.bitwise_arithmetic eval|code.bf compile|code.codeio exec
+    |arithmetic.gsm_symbolic.generators_00_49 eval|arithmetic.gsm_symbolic.generators_50_99 eval|code.codeio loads
+    |cognition.figlet_fonts loads|cognition.rubiks_cube compile|games.boxnet loads|games.countdown compile
+    |games.knight_swap loads|logic.propositional_logic parse_expr"""
 
 
 def attacks(flag: Path) -> list[str]:
     """Return answers that make a file where they are evaluated, or keep a scorer busy."""
     code = f"__import__('pathlib').Path({str(flag)!r}).touch()"
     return [
-        code,
-        f"[{code}]",
-        f"[[{code}]]",
-        f"({code}, 1)[1]",
-        f"[x for x in [{code}]]",
-        f"(lambda: {code})()",
-        f"Symbol('x') + {code}",
-        f"x + S({code!r})",
-        f"sympify({code!r})",
-        f"().__class__.__base__.__subclasses__() or {code}",
-        f"f'{{{code}}}'",
-        f"print(open({str(flag)!r}, 'w'))",
-        f'{{"a": "{code}"}}',
-        "9**9**9**9",
-        "10**(10**9)",
-        "1e999999999/7",
-        "1E+999999999999",
-        "nan",
-        "[" * 10_000,
-        "(" * 10_000 + "1" + ")" * 10_000,
-        "A+999999999999 A-999999999999",
-        "9" * 5_000,
-        "Move disk 1 from Peg 1 to Peg 2\n" * 1_000,
-        "-" * 30_000,
-        "a,b;" * 9_000,
-        "\ud800\x00",
-        "[[]]",
-        "[{}]",
-        "null",
-        '{"0": null}',
-        "=" * 20_000,
-        "¬" * 20_000,
-        "((P ∧ Q) → " * 1_000,
-        "F " * 15_000,
-    ]
+        code, f"[{code}]", f"[[{code}]]", f"({code}, 1)[1]", f"[x for x in [{code}]]", f"(lambda: {code})()",
+        f"Symbol('x') + {code}", f"x + S({code!r})", f"sympify({code!r})", f"f'{{{code}}}'", f'{{"a": "{code}"}}',
+        f"().__class__.__base__.__subclasses__() or {code}", f"print(open({str(flag)!r}, 'w'))",
+        "9**9**9**9", "10**(10**9)", "1e999999999/7", "1E+999999999999", "nan", "[" * 10_000, "9" * 5_000, "-" * 30_000,
+        "(" * 10_000 + "1" + ")" * 10_000, "A+999999999999 A-999999999999", "a,b;" * 9_000, "\ud800\x00",
+        "[[]]", "[{}]", "Move disk 1 from Peg 1 to Peg 2\n" * 1_000, "null", '{"0": null}', "=" * 20_000, "¬" * 20_000,
+        "((P ∧ Q) → " * 1_000, "F " * 15_000,
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -119,30 +77,14 @@ def test_every_reader_of_text_in_the_library_is_known() -> None:
                     found.add((module, called))
     mended = {(module, "eval") for module in READ_AS_LITERALS}
     mended |= {(module, "parse_expr") for module in READ_AS_FORMULAS}
-    assert found == mended | HARMLESS
+    assert found == mended | {(module, called) for module, called in map(str.split, HARMLESS.split("|"))}
 
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "x.free_symbols",
-        "x['a']",
-        "'x'",
-        "S(1)",
-        "Function(x)",
-        "__name__",
-        "x if x else y",
-        "lambda: x",
-        "x; y",
-        "x := 1",
-        "2**3**99",
-        "x**99999",
-        "x" * 4_001,
-        "x^2",
-        "[x]",
-        "",
-    ],
-)
+    ["x.free_symbols", "x['a']", "'x'", "S(1)", "Function(x)", "__name__", "x if x else y", "lambda: x", "x; y",
+     "x := 1", "2**3**99", "x**99999", "x" * 4_001, "x^2", "[x]", ""],
+)  # fmt: skip
 def test_a_formula_has_nothing_but_arithmetic_in_it(text: str) -> None:
     """Neither attributes nor strings, nor names of anything but variables and elementary functions."""
     with pytest.raises(ValueError, match=r"formula|exponent"):
