@@ -277,7 +277,6 @@ SPELLINGS: dict[str, Callable[[str], str]] = {
     "functions joined with x": _sub(r"(?<![\\a-zA-Z])(sin|cos|tan|cot|sec|csc|ln|log)(?=[xy](?![a-zA-Z]))", r"\\\1 "),
     "unit vectors": _sub(r"\\hat\s*\{\s*(?:\\mathbf\s*\{\s*)?\\?([ijk])(?:math)?\s*(?:\}\s*)?\}", r"\1"),
     "infinity as text": _sub(r"\\text\{\\infty\}", r"\\infty "),
-    "short fractions": _sub(r"\\frac\s*(\d)\s*(\d)", r"\\frac{\1}{\2}"),
     "marks and groups around": _strip,
 }
 """Other spellings of one thing, in the order in which they are read; scripts/grader_readings.py tries each."""
