@@ -8,6 +8,7 @@ import pty
 import select
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 from command_calls import PROGRAM
@@ -26,11 +27,7 @@ class InTerminal:
             [sys.executable, "-c", f"{code}\n{PROGRAM}", *arguments],
             cwd=cwd,
             env={**inherited, "PYTHONPATH": str(Path(__file__).parent), "TERM": "xterm", **env},
-            stdin=follower,
-            stdout=follower,
-            stderr=follower,
-            start_new_session=True,
-            preexec_fn=_take_terminal,
+            preexec_fn=partial(os.login_tty, follower),
         )
         os.close(follower)
         self.output = ""
@@ -74,11 +71,3 @@ class InTerminal:
             return False
         self.output = (self.output + self._decoder.decode(chunk)).replace("\r\n", "\n")
         return bool(chunk)
-
-
-def _take_terminal() -> None:
-    # Ctrl-C reaches the process only if the terminal is its controlling one.
-    import fcntl
-    import termios
-
-    fcntl.ioctl(0, termios.TIOCSCTTY, 0)

@@ -81,17 +81,6 @@ def test_run_prints_a_table_and_writes_the_episodes(run_gem) -> None:
     assert len(list(read_episodes(path))) == 10
 
 
-def test_same_seed_gives_the_same_episodes_whatever_num_envs_is(run_gem) -> None:
-    """Sorted by place, the files are equal."""
-    files = []
-    for num_envs in ("1", "3", "8"):
-        out = f"{num_envs}.jsonl"
-        run_gem("run", "toy:[CS]*", "-n", "6", "-k", num_envs, "-s", "4", "-w", "episode_stats", "-o", out)
-        files.append(sorted(read_episodes(out), key=lambda episode: int(episode.key)))
-    assert files[0] == files[1] == files[2]
-    assert len(files[0]) == 12
-
-
 def test_an_existing_file_is_not_overwritten_unasked(run_gem) -> None:
     """The error says how to."""
     run_gem("run", COUNTDOWN, "-n", "2", "-o", "a.jsonl")

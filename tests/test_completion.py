@@ -41,7 +41,6 @@ def completed(*words: str) -> list[str]:
         (("info", "one:"), ["one:Alpha-v0", "one:Beta-v0"]),
         (("info", "concat_w"), ["concat_with_action"]),
         (("play", "one:Alpha-v0", "-w", "latest,tur"), ["latest,turn_limit"]),
-        (("run", "-w", "latest,episode_stats,tur"), ["latest,episode_stats,turn_limit"]),
         (("run", "--backend", "a"), ["async", "auto"]),
         (("plugins", "c"), ["core"]),
         (("info", "three:"), []),

@@ -54,22 +54,6 @@ def test_every_link_in_the_code_leads_somewhere(page: str) -> None:
     assert not anchor or anchor in anchors(source(name).read_text(encoding="utf-8")), page
 
 
-@pytest.mark.parametrize(
-    ("env_id", "page"),
-    [
-        ("game:GuessTheNumber-v0-hard", "gallery/game/guess-the-number/"),
-        ("math:ASDiv2K", "gallery/math/as-div2k/"),
-        ("eval:2Wiki", "gallery/eval/2-wiki/"),
-        ("mine:Some_thing.else-v12-x", "gallery/mine/some-thing-else/"),
-        ("rg:letter_counting", "gallery/rg/"),
-        ("ta:Chess-v0", "gallery/ta/"),
-    ],
-)
-def test_the_gallery_page_of_an_environment(env_id: str, page: str) -> None:
-    """One for all versions and variants of a family; one for all of a category of small families."""
-    assert gallery_page(env_id) == page
-
-
 def test_every_environment_of_ours_has_its_page() -> None:
     """What ``gem info`` links to is in the gallery."""
     ours = [env_id for env_id in gem.list_envs() if registry().provider(env_id) is not None]

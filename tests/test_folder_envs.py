@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
 from pathlib import Path
 from typing import Any
 
@@ -72,14 +70,10 @@ def test_set_gives_arguments_of_environments(riddles: Path, run_gem) -> None:
     assert (wrong.code, "Did you mean 'tries'?" in wrong.err) == (2, True)
 
 
-def test_play_and_info_take_a_folder(riddles: Path, run_gem, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As they take an id."""
+def test_info_takes_a_folder(riddles: Path, run_gem) -> None:
+    """As it takes an id."""
     shown = run_gem("info", "riddles/two")
     assert (shown.code, "What is two?" in shown.out, "folder='riddles/two'" in shown.out) == (0, True, True)
-    assert json.loads(run_gem("info", "riddles", "--json").out)["kwargs"] == {"tries": 2, "folder": "riddles"}
-    monkeypatch.setattr("sys.stdin", io.StringIO("word\n"))
-    played = run_gem("play", "riddles/two")
-    assert (played.code, "What is two?" in played.out) == (0, True)
 
 
 def test_folder_of_no_environment_or_of_several_is_an_error_that_says_what_there_is(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -65,17 +66,10 @@ def test_generated_tests_pass(kinds: list[str], tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("name", ["", "a b", "1a", "a--b", "é", "../x", "x" * 31, "a\n"])
+@pytest.mark.parametrize("name", ["", "a b", "1a", "a--b", "é", "../x", "x" * 31, "a\n", "class", "gem-core"])
 def test_impossible_names_are_refused(name: str) -> None:
     """With what a name looks like."""
-    with pytest.raises(ArgumentError, match="cannot be the name of a plugin"):
-        names_of(name)
-
-
-@pytest.mark.parametrize("name", ["class", "gem-core"])
-def test_words_with_a_meaning_are_refused(name: str) -> None:
-    """Keywords, and GEM's own names."""
-    with pytest.raises(ArgumentError, match="a meaning of its own"):
+    with pytest.raises(ArgumentError, match=re.escape(repr(name))):
         names_of(name)
 
 

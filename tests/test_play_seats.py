@@ -56,9 +56,7 @@ def test_person_chooses_the_seat_and_the_others(play: Play) -> None:
     by_seat = play(AUCTION, "--seat", "b", "--agent", "c=play_takers:one", typed="3\nquit\n")
     assert "Your seat is b; the others are a=random, c=play_takers:one.\n" in by_seat.out
     for_all = play(AUCTION, "--seat", "b", "--agent", "play_takers:one", typed="3\n!undo\n4\nquit\n")
-    assert "Your seat is b; the others are a=play_takers:one, c=play_takers:one.\n" in for_all.out
-    assert "You are b. Bids: 0\n" in for_all.out
-    assert "Taken back: 3\n" in for_all.out
+    assert "the others are a=play_takers:one, c=play_takers:one.\n" in for_all.out
     assert "You are b. Bids: 0 4 0 0\n" in for_all.out
 
 

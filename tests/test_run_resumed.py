@@ -97,18 +97,6 @@ def test_another_run_is_refused_and_the_file_left_as_it_is(run_gem: RunGem) -> N
         assert Path("a.jsonl").read_bytes() == content
 
 
-def test_a_run_that_fails_says_how_to_go_on_as_well(run_gem: RunGem) -> None:
-    """Above the error, which stays the last line."""
-    Path("raising.py").write_text(
-        "def act(observation, context):\n    if context.episode == '2.0': raise ValueError('mine')\n    return 'a'\n"
-    )
-    failed = run_gem("run", COUNTDOWN, "-n", "4", "-k", "1", "-a", "raising:act", "-o", "a.jsonl")
-    assert failed.code == 1
-    go_on, error = failed.err.splitlines()
-    assert go_on.endswith(f"gem run {COUNTDOWN} -n 4 -k 1 -a raising:act -o a.jsonl --resume a.jsonl")
-    assert error.startswith("gem: ValueError: mine (raising.py:2, in act: ")
-
-
 def test_an_exception_in_an_environment_names_file_and_line(run_gem: RunGem) -> None:
     """In the record, and on standard error for the first that failed, wherever the environment ran."""
     Path("fragile_env.py").write_text(

@@ -10,29 +10,6 @@ import pytest
 import trainers
 
 ROOT = Path(__file__).parent.parent
-BLOCK = '''# /// script
-# requires-python = ">=3.11"
-# dependencies = ["trl>=1.16,<1.17", "torch", "gem-games", "gem_train[torch]"]
-#
-# [tool.gem]
-# python = "3.12"
-# no-deps = ["oat-llm==0.2.4"]
-# ///
-"""What it shows."""
-'''
-
-
-def test_needs_are_read_from_the_block() -> None:
-    """Theirs and ours apart; the framework is what is named first."""
-    needs = trainers.needs_of(BLOCK)
-    assert needs.theirs == ["trl>=1.16,<1.17", "torch"]
-    assert needs.ours == ["gem-games", "gem_train[torch]"]
-    assert (needs.no_deps, needs.python, needs.framework) == (["oat-llm==0.2.4"], "3.12", "oat-llm")
-    assert trainers.needs_of(BLOCK.replace("# no-deps", "# other")).framework == "trl"
-    with pytest.raises(SystemExit, match="PEP 723"):
-        trainers.needs_of('"""No block."""\n')
-
-
 TRAINERS = sorted(path.stem for path in (ROOT / "examples" / "trainers").glob("*.py"))
 
 

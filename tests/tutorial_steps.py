@@ -30,21 +30,6 @@ class Step(NamedTuple):
     title: str
     code: str
 
-    @property
-    def is_file(self) -> bool:
-        """Whether the block is to be saved under its title."""
-        return bool(self.title) and self.language != "console"
-
-    @property
-    def is_typed(self) -> bool:
-        """Whether the block is commands to type here."""
-        return self.language == "console" and not self.title
-
-    @property
-    def is_shown(self) -> bool:
-        """Whether the block is what the step before it prints."""
-        return self.language == "text" and not self.title
-
 
 def steps_of(page: str) -> list[Step]:
     """Return the blocks of a page in their order."""
@@ -90,17 +75,21 @@ def _lines_of_shell(steps: list[Step], kept: Path) -> Iterator[str]:
     for number, step in enumerate(steps):
         block = kept / str(number)
         block.write_text(step.code, encoding="utf-8")
-        if step.is_file:
+        if step.title and step.language != "console":
             yield f"mkdir -p {shlex.quote(str(Path(step.title).parent))}"
             yield f"cp {shlex.quote(str(block))} {shlex.quote(step.title)}"
-        elif step.is_typed:
+        elif step.language == "console" and not step.title:
             yield step.code
         yield r"printf '\x1e'"
 
 
 def shown_outputs(steps: list[Step], outputs: list[str]) -> list[tuple[str, str]]:
     """Return what a page shows after its steps, each beside what came out."""
-    return [(step.code, output) for (step, output) in zip(steps[1:], outputs[:-1], strict=True) if step.is_shown]
+    return [
+        (step.code, output)
+        for (step, output) in zip(steps[1:], outputs[:-1], strict=True)
+        if step.language == "text" and not step.title
+    ]
 
 
 def agrees(shown: str, output: str) -> bool:

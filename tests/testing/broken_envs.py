@@ -69,6 +69,7 @@ breaks("episode")(Altered(lambda seen, reward, over, cut_off, info: (seen, rewar
 breaks("types", "hostile-actions", "gymnasium")(Altered(lambda seen, reward, *rest: (seen, float("nan"), *rest)))
 breaks("info")(Altered(reset=lambda seen, info: (seen, {**info, "range": (1, 10)})))
 breaks("info")(Altered(lambda *rest: (*rest[:4], {**rest[4], **({"correct": "yes"} if "correct" in rest[4] else {})})))
+breaks("process-determinism")(Altered(reset=lambda seen, info: (f"Number {hash('number')}.", {})))
 breaks("suffix")(
     Altered(
         lambda *rest: (*rest[:4], {**rest[4], "suffix": "Nothing new."}),
@@ -158,15 +159,6 @@ class ClassStateEnv(GoodEnv):
     @secret.setter
     def secret(self, value: int) -> None:
         self.shared[0] = value
-
-
-@breaks("process-determinism")
-class HashEnv(GoodEnv):
-    """Its first observation depends on how this process hashes strings."""
-
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-        super().reset(seed, options)
-        return self.answer(f"Number {hash('number')}.\n")
 
 
 @breaks("global-random")

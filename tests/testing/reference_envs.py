@@ -9,7 +9,6 @@ from typing import Any
 from gem_core import Env, extract_last_boxed_answer
 from gem_core.env.base import AsyncEnv
 from gem_core.env.spaces import Content
-from gem_core.env.wrapper import Wrapper
 
 
 class GoodEnv(Env):
@@ -98,21 +97,3 @@ class PictureEnv(GoodEnv):
         picture = Image.new("L", (2, 2), color=len(self.guesses))
         suffix = [{"type": "image", "image": picture}]
         return [{"type": "text", "text": feedback}, *suffix], {"feedback": feedback, "suffix": [dict(suffix[0])]}
-
-
-class CountingWrapper(Wrapper):
-    """Counts turns in info, in steps of its own; its state is the count."""
-
-    def __init__(self, env: Any, step: int = 1) -> None:
-        super().__init__(env)
-        self.width = step
-        self.count = 0
-
-    def after_reset(self, result: Any) -> Any:
-        self.count = 0
-        return result
-
-    def after_step(self, action: str, result: Any) -> Any:
-        self.count += self.width
-        result[4]["count"] = self.count
-        return result

@@ -24,13 +24,14 @@ from broken_envs import (
     UnrepeatableEnv,
 )
 from joint_toys import AuctionEnv, CountdownEnv
-from reference_envs import CountingWrapper, GoodAsyncEnv, GoodEnv, PictureEnv, ThreadEnv
+from reference_envs import GoodAsyncEnv, GoodEnv, PictureEnv, ThreadEnv
 
 from gem_core import EnvSpec, make, register
 from gem_core.env.guard import Guard
 from gem_core.errors import ArgumentError
 from gem_core.testing import ContractError, check_env
 from gem_core.testing.promises import OF_ONE, OF_SEVERAL, PROMISES
+from gem_core.wrappers.episode_stats import EpisodeStats
 
 ALL = set(PROMISES)
 SHORT = EnvSpec(id="check:Countdown-v0", entry_point=CountdownEnv, seats=("first", "second"), max_turns=3)
@@ -73,7 +74,7 @@ def test_what_cannot_be_forked_is_skipped() -> None:
         GoodAsyncEnv,
         ThreadEnv,
         PictureEnv,
-        CountingWrapper(gymnasium.wrappers.TransformReward(Guard(GoodEnv(limit=5)), float), step=2),
+        EpisodeStats(gymnasium.wrappers.TransformReward(Guard(GoodEnv(limit=5)), float)),
     ],
     ids=lambda target: getattr(target, "__name__", str(target)[:20]),
 )
