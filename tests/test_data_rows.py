@@ -124,14 +124,6 @@ def test_split_of_several_must_be_chosen(tmp_path: Path) -> None:
                 load_rows(source, split=wrong)
 
 
-@pytest.mark.parametrize(
-    ("part", "expected"), [("train", range(10)), ("train[-2:]", [8, 9]), ("train[:30%]", [0, 1, 2])]
-)
-def test_part_of_a_split(lines: Path, part: str, expected: Any) -> None:
-    """A slice by numbers or per cent, as ``datasets`` writes it."""
-    assert list(load_rows(lines, split=part)) == [ROWS[index] for index in expected]
-
-
 def test_filter_and_map_by_function_and_by_name(lines: Path) -> None:
     """The filter sees the rows as they are; the map changes what is left, whenever it is asked for."""
     rows = load_rows(lines, row_filter=is_easy, map_row=f"{__name__}:doubled")
@@ -287,8 +279,11 @@ def test_choice_that_would_be_ignored_is_refused(lines: Path) -> None:
             load_rows(lines, **{option: "main"})  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="split"):
         load_rows(ROWS, split="test")
-    with pytest.raises(DatasetError, match="'train'"):
-        load_rows(lines, split="test")
+    for path in lines, write_as("-saved", lines.parent):
+        assert list(load_rows(path, split="train")) == ROWS
+        with pytest.raises(DatasetError, match="'train'"):
+            load_rows(path, split="test")
+    assert list(load_rows(lines, split="train[-2:]")) == ROWS[-2:]
     for rows, name in ((None, None), (ROWS, "x")):
         with pytest.raises(ArgumentError, match="rows or dataset_name"):
             gem.DatasetEnv(rows, dataset_name=name)

@@ -193,6 +193,7 @@ def _load(source: str | Path, stamp: object, split: str | None, config: str | No
             loaded = datasets.load_dataset(kind, data_files=glob.escape(str(source)), split=split, **options)
         elif os.path.isfile(f"{source}/state.json") or os.path.isfile(f"{source}/dataset_dict.json"):
             loaded = datasets.load_from_disk(str(source))
+            loaded = loaded if isinstance(loaded, Mapping) else {str(loaded.split or "train"): loaded}
         else:
             loaded = datasets.load_dataset(str(source), config, split=split, revision=revision)
     except Exception as error:  # each of a dozen readers fails with exceptions of its own
