@@ -46,10 +46,8 @@ class RemembersArguments:
         except GemError:
             raise
         except Exception as error:
-            raise StateNotSupported(
-                f"{type(self).__name__} cannot be forked ({type(error).__name__}: {error}); "
-                "make another, reset it with the same seed and options, and repeat the actions"
-            ) from error
+            cause = f"{type(self).__name__} cannot be forked ({type(error).__name__}: {error})"
+            raise StateNotSupported(f"{cause}; make another, and repeat the seed and the actions") from error
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         # What is made again from the arguments shares them as well.

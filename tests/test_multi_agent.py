@@ -160,8 +160,8 @@ def test_malformed_verdict_is_refused(verdict: Any, message: str) -> None:
 @pytest.mark.parametrize(
     ("agents", "told", "message"),
     [
-        ([], None, r"self\.agents, not \[\]"),
-        (["c"], None, "self.agents, not .*'c'"),
+        ([], None, r"agents, not \[\]"),
+        (["c"], None, "agents, not .*'c'"),
         (["a"], ("observation", {}), "begin_episode .*'observation'"),
         (["a"], {"b": {"role": "spy"}}, "begin_episode.*'b'"),
     ],

@@ -128,10 +128,7 @@ class DatasetEnv(Env):
         self._take(0)
         if DatasetEnv.prompt(self, self._row) == prompt_template:
             places = ", ".join(f"{{{column}}}" for column in self._row if column != answer_key)
-            raise ArgumentError(
-                f"prompt_template shows nothing of a row: {prompt_template!r:.200}. "
-                f"It may name {{question}} or a column: {places}"
-            )
+            raise ArgumentError(f"prompt_template shows nothing of a row: {prompt_template!r:.200}. Columns: {places}")
 
     @property
     def num_tasks(self) -> int:  # type: ignore[override]  # read from the rows, which a subclass may replace
@@ -222,10 +219,8 @@ class DatasetEnv(Env):
             raise DatasetError(f"row {index} must map columns to values, and is of type {type(row).__name__}")
         for key in (self.question_key, self.answer_key, self.id_key):
             if key is not None and key not in row:
-                columns = ", ".join(map(repr, row))
-                raise DatasetError(
-                    f"no column {key!r} in row {index} of {self._name}.{did_you_mean(key, row)} Columns: {columns}"
-                )
+                hint = f"{did_you_mean(key, row)} Columns: {', '.join(map(repr, row))}"
+                raise DatasetError(f"no column {key!r} in row {index} of {self._name}.{hint}")
         self._index, self._row = index, row
 
 

@@ -157,9 +157,7 @@ def _local_path(source: str | os.PathLike[str]) -> Path | None:
         return None
     near = next(folder for folder in path.parents if os.path.isdir(folder))
     there = ", ".join(sorted(os.listdir(near))[:10]) or "nothing"
-    raise DatasetError(
-        f"there is no file or folder {name!r:.200}, and it is no name of the hub. In {str(near)!r} there is: {there}"
-    )
+    raise DatasetError(f"no file or folder {name!r:.200}, and no name of the hub. In {str(near)!r} there is: {there}")
 
 
 def _stamp(path: Path | None) -> tuple[tuple[str, int, int], ...]:
@@ -184,9 +182,7 @@ def _load(source: str | Path, stamp: object, split: str | None, config: str | No
     except ModuleNotFoundError as error:
         if error.name != "datasets":
             raise
-        raise MissingRequirementError(
-            f"loading {str(source)!r} needs the package datasets: pip install 'gem-core[datasets]'"
-        ) from error
+        raise MissingRequirementError(f"to load {str(source)!r}: pip install 'gem-core[datasets]'") from error
     try:
         if is_file:
             kind, options = _file_options(Path(source), datasets)

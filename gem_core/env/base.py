@@ -142,9 +142,7 @@ class Env(RemembersArguments, gymnasium.Env[Any, str]):
         Raises:
             SamplingNotSupported: The environment cannot sample actions.
         """
-        raise SamplingNotSupported(
-            f"{type(self).__name__} does not say what a valid action is; override sample_random_action"
-        )
+        raise SamplingNotSupported(f"{type(self).__name__} does not override sample_random_action")
 
     def gold_action(self) -> str | None:
         """Return a response that solves the task from the present state, or is the next turn of a solution.

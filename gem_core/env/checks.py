@@ -31,9 +31,7 @@ def checked_result(result: object, whose: str = "") -> StepResult:
         ValueError: The reward is not finite.
     """
     if not isinstance(result, tuple) or len(result) != 5:
-        raise TypeError(
-            f"{whose}step must return (observation, reward, terminated, truncated, info), not {result!r:.200}"
-        )
+        raise TypeError(f"{whose}step must return five values, from observation to info, not {result!r:.200}")
     observation, reward, terminated, truncated, info = result
     if type(reward) is not float or not math.isfinite(reward):
         reward = checked_reward(reward, f"{whose}the reward")
@@ -130,9 +128,7 @@ def check_actions(acting: Collection[str], actions: Mapping[str, str], where: st
     for agent in (*acting, *actions):
         if agent not in actions or agent not in acting:
             problem = "is missing" if agent in acting else "is not wanted"
-            raise ArgumentError(
-                f"the action of {agent!r}{where} {problem}: {named(acting)} must act now, and nobody else"
-            )
+            raise ArgumentError(f"the action of {agent!r}{where} {problem}: {named(acting)} must act, and nobody else")
         if not isinstance(actions[agent], str):
             refuse_action(actions[agent], f" of {agent!r}{where}")
 
@@ -151,9 +147,7 @@ def checked_beginning(name: str, possible: Sequence[str], agents: Sequence[str],
         ValueError: Nobody takes part, or somebody who is no possible agent; or an info is for nobody who does.
     """
     if not agents or not set(agents) <= set(possible):
-        raise ValueError(
-            f"{name}: begin_episode must leave some of {named(possible)} in self.agents, not {agents!r:.200}"
-        )
+        raise ValueError(f"{name}: begin_episode must leave some of {named(possible)} in agents, not {agents!r:.200}")
     told = {} if told is None else told
     _check_infos(f"{name}: begin_episode", told, agents)
     return cast("Mapping[str, Info]", told)
@@ -176,7 +170,7 @@ def checked_verdict(
     parts = result[-4:] if isinstance(result, tuple) and len(result) in (4, 5) else ()
     if not parts or not all(isinstance(part, Mapping) for part in parts):
         raise TypeError(
-            f"{name}: process_actions must return (rewards, terminations, truncations, infos), not {result!r:.200}"
+            f"{name}: process_actions must return four mappings, from rewards to infos, not {result!r:.200}"
         )
     rewards, terminations, truncations, infos = parts
     _check_infos(f"{name}: process_actions", infos, agents)

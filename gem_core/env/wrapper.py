@@ -47,11 +47,9 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
 
     def __init__(self, env: AnyEnv) -> None:
         if isinstance(env, MultiAgentEnv) and type(self).step is Wrapper.step:  # its hooks take one agent's results
-            raise ArgumentError(
-                f"{type(self).__name__} goes around a seat, and several agents act here; give wrappers to make, as in "
-                f"make(id, wrappers={{{next(iter(env.possible_agents), 'seat')!r}: [{type(self).__name__}]}}). "
-                f"See {page_url('several-agents/#wrappers-around-seats')}"
-            )
+            example = f"make(id, wrappers={{{next(iter(env.possible_agents), 'seat')!r}: [{type(self).__name__}]}})"
+            page = page_url("several-agents/#wrappers-around-seats")
+            raise ArgumentError(f"{type(self).__name__} goes around a seat, as in {example}. See {page}")
         super().__init__(env)
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -137,9 +135,7 @@ class Wrapper(RemembersArguments, gymnasium.Wrapper[Any, str, Any, str]):
     def _coroutine(self, hook: str, value: Any) -> Awaitable[Any]:
         if inspect.isawaitable(value):
             return value
-        raise TypeError(
-            f"{type(self).__name__}.{hook} returned {value!r}; see Wrapper.{hook} for what it has to return"
-        )
+        raise TypeError(f"{type(self).__name__}.{hook} returned {value!r}; see Wrapper.{hook}")
 
     # Passed on to the environment inside.
 
@@ -213,6 +209,5 @@ async def step_async(env: AnyEnv, action: str) -> StepResult:
     if isinstance(env, Env | Wrapper):
         coroutine = env.step_async(action)
         return await (on_library_loop(coroutine) if isinstance(env, AsyncEnv) else coroutine)
-    return cast(
-        "StepResult", env.step(action) if concurrency_of(env) == "inline" else await in_thread(env.step, action)
-    )
+    result = env.step(action) if concurrency_of(env) == "inline" else await in_thread(env.step, action)
+    return cast("StepResult", result)

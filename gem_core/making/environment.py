@@ -67,10 +67,7 @@ class MadeSpec:
             ArgumentError: There are wrappers of Gymnasium's around it.
         """
         if self.additional_wrappers or self.max_episode_steps is not None:
-            raise ArgumentError(
-                f"{self.id} has wrappers of Gymnasium's around it, which gem.make does not know; "
-                "make it from env.unwrapped.spec, and put them around it again"
-            )
+            raise ArgumentError(f"{self.id} has wrappers of Gymnasium's around it; make env.unwrapped.spec")
         stacks: list[Any] = [self.wrappers, wrappers]
         if not any(isinstance(stack, Mapping) for stack in stacks):  # in one stack, all tools share one wrapper
             stacks = [[*self.wrappers, *([wrappers] if isinstance(wrappers, str) else wrappers)]]
@@ -165,9 +162,7 @@ def _set_render_mode(task: AnyEnv, render_mode: str, record: EnvSpec) -> bool:
     several = isinstance(task, MultiAgentEnv)
     modes = own if several else list(dict.fromkeys([*own, *TEXT_MODES]))
     if render_mode not in modes:
-        raise ArgumentError(
-            f"{record.id}: no render mode {render_mode!r}; it offers {', '.join(map(repr, modes)) or 'none'}"
-        )
+        raise ArgumentError(f"{record.id}: no render mode {render_mode!r}; it offers {', '.join(map(repr, modes))}")
     # A class that lists "human" itself also shows itself, as Gymnasium's do.
     shows_itself = render_mode == "human" and "human" in own and task.metadata is not Env.metadata
     as_text = render_mode in TEXT_MODES and not several and not shows_itself
@@ -186,10 +181,8 @@ def wrap(env: AnyEnv, wrappers: Wrappers) -> AnyEnv:
         around = {seat: partial(wrap, wrappers=stack) for seat, stack in by_seat.items() if asked_for(stack)}
         return SeatWrappers(env, around) if around else env
     if isinstance(wrappers, Mapping):
-        raise ArgumentError(
-            f"wrappers by seat ({', '.join(map(repr, wrappers))}) are for an environment of several agents, and "
-            f"{env.get_wrapper_attr('env_id') or type(env.unwrapped).__name__} has one; give a list"
-        )
+        seats = ", ".join(map(repr, wrappers))
+        raise ArgumentError(f"wrappers by seat ({seats}) are for several agents, and {env.unwrapped} has one")
     for layer in layers_of(wrappers):
         wrapper = load_entry_point(layer.entry_point, layer.owner)
         check_arguments(wrapper, (env,), layer.options, layer.owner)

@@ -27,10 +27,8 @@ def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
         target: Any = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         if error.name and (module_name == error.name or module_name.startswith(f"{error.name}.")):
-            raise EntryPointError(
-                f"{owner}: there is no module {error.name!r} (entry point {entry_point!r}); "
-                "correct the entry point, or install the distribution that has it"
-            ) from error
+            what = f"there is no module {error.name!r} (entry point {entry_point!r})"
+            raise EntryPointError(f"{owner}: {what}; correct the entry point, or install what has it") from error
         package = (error.name or "").partition(".")[0]
         missing = f"{owner}: {module_name!r} needs the module {error.name!r}, which is not "
         if package == module_name.partition(".")[0]:
@@ -43,10 +41,8 @@ def load_entry_point(entry_point: EntryPoint, owner: str) -> Callable[..., Any]:
             target = getattr(target, part)
         except AttributeError:
             names = [name for name in dir(target) if not name.startswith("_")]
-            raise EntryPointError(
-                f"{owner}: {module_name!r} has no {part!r}.{did_you_mean(part, names)} Correct the entry point "
-                f"{entry_point!r}"
-            ) from None
+            hint = did_you_mean(part, names)
+            raise EntryPointError(f"{owner}: {module_name!r} has no {part!r}.{hint} It is {entry_point!r}") from None
     if not callable(target):
         raise EntryPointError(f"{owner}: {entry_point!r} is a {type(target).__name__}, which cannot be called")
     return cast("Callable[..., Any]", target)

@@ -99,9 +99,7 @@ class Registry:
                 names = " and ".join(record.id for record in owners)
                 raise UnknownEnvError(f"the folder {str(folder)!r} belongs to {names}; give the id of one of them")
         known = "; ".join(f"{record.id} looks for {' or '.join(names)}" for record, names in markers.items())
-        raise UnknownEnvError(
-            f"the folder {str(folder)!r} belongs to no environment: {known or 'none that is installed takes folders'}"
-        )
+        raise UnknownEnvError(f"the folder {str(folder)!r} belongs to no environment: {known or 'none takes folders'}")
 
     def provider(self, env_id: str) -> Plugin | None:
         """Return the plugin that offers an environment; None for an environment that the program registered."""
@@ -139,9 +137,7 @@ class Registry:
         found = [plugin for plugin in self.plugins() if name in (plugin.name, plugin.distribution)]
         if not found:
             names = [plugin.name for plugin in self.plugins()]
-            raise UnknownPluginError(
-                f"no plugin {name!r}.{did_you_mean(name, names)} Installed: {', '.join(names)}. Run 'gem plugins'"
-            )
+            raise UnknownPluginError(f"no plugin {name!r}.{did_you_mean(name, names)} Installed: {', '.join(names)}")
         return found
 
     # Adding records.
@@ -159,10 +155,7 @@ class Registry:
             if self._loaded:
                 return
             if self._loading:
-                raise RegistrationError(
-                    "the registry was used while plugins are being loaded; "
-                    "a plugin returns its records from hooks and does nothing else"
-                )
+                raise RegistrationError("the registry was used while plugins are loaded; hooks return records alone")
             self._loading = True
             self._clear()
             try:
@@ -182,10 +175,8 @@ class Registry:
         with self._lock:
             present, provider = self._spaces["env"].get(record.id), self._providers.get(record.id)
             if present is not None and (provider or _place(present) != _place(record)):
-                raise RegistrationError(
-                    f"environment {record.id!r} is registered already, by {provider or 'register()'}; "
-                    "choose another id or version"
-                )
+                owner = provider or "register()"
+                raise RegistrationError(f"environment {record.id!r} is {owner}'s already; choose another id or version")
             self._spaces["env"][record.id] = record
 
     def _take(self, plugins: list[Plugin]) -> None:

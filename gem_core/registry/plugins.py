@@ -163,22 +163,17 @@ def _check_hooks(module: Any) -> None:
         if not is_marked and not name.startswith(("gem_register_", "gem_add_")):
             continue
         if name not in RECORD_TYPES:
-            raise RegistrationError(
-                f"no hook is called {name!r}.{did_you_mean(name, RECORD_TYPES)} See gem_core/registry/hookspecs.py"
-            )
+            raise RegistrationError(f"no hook is called {name!r}.{did_you_mean(name, RECORD_TYPES)}")
         if not is_marked:
             raise RegistrationError(f"{name!r} is not marked; put '@gem_core.hookimpl' above it")
 
 
 def _checked(hook: str, record_type: type[Record], offered: Any) -> list[Record]:
-    if isinstance(offered, str | bytes) or not isinstance(offered, Iterable):
-        raise RegistrationError(f"{hook} must return a list of {record_type.__name__}, not {reprlib.repr(offered)}")
-    records = list(offered)
+    is_list = isinstance(offered, Iterable) and not isinstance(offered, str | bytes)
+    records = list(offered) if is_list else [offered]
     for record in records:
-        if not isinstance(record, record_type):
-            raise RegistrationError(
-                f"{hook} must return records of type {record_type.__name__}, not {reprlib.repr(record)}"
-            )
+        if not (is_list and isinstance(record, record_type)):
+            raise RegistrationError(f"{hook} must return {record_type.__name__} records, not {reprlib.repr(record)}")
     return records
 
 

@@ -68,9 +68,7 @@ class EnvSpec:
 
     def __post_init__(self) -> None:
         if not isinstance(self.id, str) or not _ENV_ID.fullmatch(self.id):
-            raise RegistrationError(
-                f"environment id {self.id!r} must look like 'namespace:Name-v0', with ASCII letters, digits and '._-'"
-            )
+            raise RegistrationError(f"environment id {self.id!r} must look like 'namespace:Name-v0', in ASCII")
         _check_entry_point(self.id, self.entry_point)
         is_mapping = isinstance(self.kwargs, Mapping) and all(isinstance(key, str) for key in self.kwargs)
         is_limit = self.max_turns is None or (type(self.max_turns) is int and self.max_turns > 0)
@@ -127,9 +125,7 @@ class NamedSpec:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
-            raise RegistrationError(
-                f"{self.kind} name {self.name!r} must be lower case ASCII letters, digits and '_.-', as in 'python'"
-            )
+            raise RegistrationError(f"{self.kind} name {self.name!r} must be lower case ASCII, as in 'python'")
         _check_entry_point(f"{self.kind} {self.name}", self.entry_point)
         _check_summary(self.name, self.summary)
 
@@ -191,7 +187,7 @@ class CallFormatSpec(NamedSpec):
             re.compile(self.opening)
         except (TypeError, re.error) as error:
             raise RegistrationError(
-                f"call format {self.name}: opening must be a regular expression, not {self.opening!r}: {error}"
+                f"call format {self.name}: opening {self.opening!r} is no pattern: {error}"
             ) from None
         if self.begins not in get_args(CallBeginning):
             allowed = ", ".join(get_args(CallBeginning))
