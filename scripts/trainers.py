@@ -7,6 +7,8 @@ What a file needs stands at its top, in a block of inline metadata (PEP 723): th
 its dependencies that are distributions of this repository are installed from here, editable, and those that they need
 with them. PyTorch has the version of constraints.txt in all of them. The table ``[tool.gem]`` in the block may name
 another interpreter (``python = "3.12"``) and what is installed without its dependencies (``no-deps = ["…"]``).
+``[tool.gem.table]`` has the file's row in docs/trainers.md, which ``--write`` puts there with the version of a trial
+that passed; other rows keep theirs.
 
 The exit code is 0 where every file that was asked for ran to its end and exited with 0.
 """
@@ -30,6 +32,15 @@ from typing import Any, NamedTuple
 ROOT = Path(__file__).resolve().parent.parent
 TRAINERS = ROOT / "examples" / "trainers"
 ALWAYS = ("gem-core", "gem-train")
+PAGE = ROOT / "docs" / "trainers.md"
+COLUMNS = {
+    "framework": "framework",
+    "rewards": "rewards of turns",
+    "images": "images",
+    "groups": "groups",
+    "tools": "tool calls",
+    "failures": "an episode with an error",
+}
 BUILD_TOOLS = ("hatchling>=1.27", "editables")
 """Of our own distributions: with these an editable installation needs no environment to be built in."""
 
@@ -72,6 +83,7 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"by default all: {', '.join(names)}")
     parser.add_argument("--venvs", type=Path, default=Path(".venv-trainers"), help="folder that keeps the environments")
     parser.add_argument("--timeout-s", type=float, default=900.0, help="seconds that one file may run (default: 900)")
+    parser.add_argument("--write", action="store_true", help="write the table of docs/trainers.md")
     arguments = parser.parse_args()
     for name in arguments.names:
         if name not in names:
@@ -81,6 +93,8 @@ def main() -> int:
         results.append(try_one(name, (ROOT / arguments.venvs).resolve() / name, arguments.timeout_s))
         print(f"==> {name}: {results[-1].result}", flush=True)
     print_table(results)
+    if arguments.write:
+        write_page({row.name: row.version for row in results if row.result == "passed"})
     return 0 if results and all(row.result == "passed" for row in results) else 1
 
 
@@ -140,16 +154,25 @@ def needs_of(source: str) -> Needs:
     Raises:
         SystemExit: There is none.
     """
-    block = re.search(r"^# /// script\n((?:#(?: .*)?\n)+?)# ///$", source, re.MULTILINE)
-    if block is None:
-        sys.exit("error: a file in examples/trainers begins with '# /// script'; see PEP 723")
-    metadata: dict[str, Any] = tomllib.loads("".join(line[2:] + "\n" for line in block.group(1).splitlines()))
+    metadata = metadata_in(source)
     local = distributions()
     own: dict[str, Any] = metadata.get("tool", {}).get("gem", {})
     asked = list(metadata.get("dependencies", []))
     ours = [line for line in asked if name_of(line) in local]
     theirs = [line for line in asked if name_of(line) not in local]
     return Needs(theirs, ours, list(own.get("no-deps", [])), own.get("python"))
+
+
+def metadata_in(source: str) -> dict[str, Any]:
+    """Return the block of inline metadata in a file's text.
+
+    Raises:
+        SystemExit: There is none.
+    """
+    block = re.search(r"^# /// script\n((?:#(?: .*)?\n)+?)# ///$", source, re.MULTILINE)
+    if block is None:
+        sys.exit("error: a file in examples/trainers begins with '# /// script'; see PEP 723")
+    return tomllib.loads("".join(line[2:] + "\n" for line in block.group(1).splitlines()))
 
 
 def name_of(requirement: str) -> str:
@@ -234,6 +257,30 @@ def print_table(results: list[Result]) -> None:
     print()
     for row in rows:
         print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+# The page.
+
+
+def write_page(versions: dict[str, str]) -> None:
+    """Write the table of docs/trainers.md, with new versions of some files."""
+    text = PAGE.read_text(encoding="utf-8")
+    tried = dict(re.findall(r"^\| .*? \| `(\w+)\.py` \| (.*?) \|", text, re.MULTILINE)) | versions
+    before, _, rest = text.partition("| framework |")
+    PAGE.write_text(before + table_of(tried) + rest.partition("\n\n")[1] + rest.partition("\n\n")[2], encoding="utf-8")
+
+
+def table_of(tried: dict[str, str]) -> str:
+    """Return the table: what the files say of themselves, and the versions that their trials passed with."""
+    first, *others = COLUMNS.values()
+    lines = [f"| {' | '.join([first, 'file', 'passed with', *others])} |", f"|{' --- |' * (len(COLUMNS) + 2)}"]
+    for path in sorted(TRAINERS.glob("*.py"), key=lambda path: (path.stem != "verl_agent_loop", path.stem)):
+        said = metadata_in(path.read_text(encoding="utf-8"))["tool"]["gem"]["table"]
+        framework, *cells = (said[name] for name in COLUMNS)
+        lines.append(
+            f"| {' | '.join([framework, f'`{path.name}`', said.get('tried') or tried.get(path.stem, '-'), *cells])} |"
+        )
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

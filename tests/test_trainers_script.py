@@ -25,6 +25,18 @@ def test_trainer_keeps_its_promises(name: str) -> None:
     assert done.returncode == 0, done.stdout[-5000:]
 
 
+def test_page_has_the_rows_of_the_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As ``--write`` writes them; the version of a trial takes the place of that before it, the rest stays."""
+    written = trainers.PAGE.read_text(encoding="utf-8")
+    monkeypatch.setattr(trainers, "PAGE", tmp_path / "trainers.md")
+    trainers.PAGE.write_text(written, encoding="utf-8")
+    trainers.write_page({})
+    assert trainers.PAGE.read_text(encoding="utf-8") == written
+    trainers.write_page({"rl2_env": "9.9"})
+    changed = set(trainers.PAGE.read_text(encoding="utf-8").splitlines()) - set(written.splitlines())
+    assert [row.split(" | ")[1:3] for row in changed] == [["`rl2_env.py`", "9.9"]]
+
+
 def test_every_file_says_what_it_needs() -> None:
     """And what it shows, the version and how it is run, in its docstring."""
     for path in sorted((ROOT / "examples" / "trainers").glob("*.py")):

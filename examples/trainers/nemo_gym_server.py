@@ -3,6 +3,13 @@
 # dependencies = ["nemo-gym>=0.4,<0.5", "gem-core", "gem-games", "gem-train"]
 # [tool.gem]
 # python = "3.12"
+# [tool.gem.table]
+# framework = 'NeMo-Gym'
+# rewards = 'summed; listed in `info`'
+# images = 'no'
+# groups = '`--num-repeats`'
+# tools = 'native or in text'
+# failures = 'played again, then raised'
 # ///
 r"""GEM environments in NeMo-Gym: a resources server by its ``GymnasiumServer``, and rows of data for it.
 

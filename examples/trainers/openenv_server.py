@@ -1,6 +1,13 @@
 # /// script
 # requires-python = ">=3.11"
 # dependencies = ["openenv>=0.10,<0.11", "uvicorn", "gem-core", "gem-games", "gem-train"]
+# [tool.gem.table]
+# framework = 'OpenEnv'
+# rewards = 'yes'
+# images = 'as data URLs'
+# groups = 'sessions with one seed'
+# tools = 'native or in text'
+# failures = '`error`, reward None: the trainer leaves it out'
 # ///
 r"""OpenEnv: any environment of GEM as a server, and a client that plays it over WebSocket.
 

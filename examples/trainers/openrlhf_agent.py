@@ -3,6 +3,13 @@
 # dependencies = ["torch", "transformers", "aiohttp", "gem-core", "gem-games", "gem-train"]
 # [tool.gem]
 # no-deps = ["openrlhf>=0.11.2,<0.12"]
+# [tool.gem.table]
+# framework = 'OpenRLHF'
+# rewards = 'summed'
+# images = 'no'
+# groups = '`n_samples_per_prompt`'
+# tools = 'in text'
+# failures = 'played again, then raised'
 # ///
 r"""OpenRLHF (0.11.2): an agent function that plays a GEM environment.
 
@@ -14,11 +21,18 @@ engine that writes known tokens instead of vLLM::
     python scripts/trainers.py openrlhf_agent
     python examples/trainers/openrlhf_agent.py  # where what it needs is installed
 
-On GPUs, with the rows of ``dataset_rows`` in ``gem.jsonl``::
+On one node of eight GPUs: write the rows, then train. The trial puts this command before OpenRLHF's own parser and
+checks, up to where it would start its workers::
+
+    python examples/trainers/openrlhf_agent.py game:GuessTheNumber-v0 12800 > gem.jsonl
 
     python -m openrlhf.cli.train_ppo_ray --train.agent_func_path examples/trainers/openrlhf_agent.py \
         --data.prompt_dataset gem.jsonl --data.input_key input --data.label_key label --data.max_len 8192 \
-        --actor.model_name_or_path Qwen/Qwen3-4B --rollout.n_samples_per_prompt 8 --algo.advantage.estimator group_norm
+        --actor.model_name_or_path Qwen/Qwen3-4B-Instruct-2507 --actor.gradient_checkpointing_enable \
+        --rollout.batch_size 128 --rollout.n_samples_per_prompt 8 --train.batch_size 1024 \
+        --algo.advantage.estimator group_norm --algo.kl.init_coef 0 --train.colocate_all --ds.zero_stage 3 \
+        --ds.enable_sleep --vllm.num_engines 8 --vllm.enable_sleep --vllm.gpu_memory_utilization 0.6 \
+        --ckpt.save_steps 20 --ckpt.output_dir runs/openrlhf
 
 What OpenRLHF cannot take: rewards per turn (its executor adds them up), native tool calls, several agents, and more
 than one sequence for an episode: a chat template that rewrites earlier turns, as those that drop reasoning, is
@@ -33,10 +47,13 @@ from __future__ import annotations
 import asyncio
 import importlib.util
 import json
+import runpy
+import shlex
 import sys
 from copy import deepcopy
 from types import ModuleType, SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock, patch
 
 import torch
 
@@ -183,8 +200,34 @@ async def play(engine: TrialEngine, row: dict[str, str], max_length: int = 4000)
     )
 
 
+def check_command() -> None:
+    """Let OpenRLHF's own program read the printed command; what would start workers is a stand-in."""
+    text = str(__doc__)
+    command = text[text.index("--train.agent_func_path") : text.index("What OpenRLHF cannot take")]
+    trainer = "openrlhf.trainer.ppo_trainer"
+    workers = (
+        "openrlhf.trainer.ray",
+        *(f"openrlhf.trainer.ray.{part}" for part in ("launcher", "ppo_actor", "ppo_critic")),
+    )
+    stand_ins = {
+        name: MagicMock() for name in ("ray", "ray.util", "ray.util.placement_group", "openrlhf.trainer", trainer)
+    }
+    stand_ins |= {name: MagicMock() for name in workers}
+    with (
+        patch.dict(sys.modules, stand_ins),
+        patch.object(sys.modules["openrlhf.utils"], "get_strategy", MagicMock(), create=True),
+        patch.object(sys, "argv", ["train_ppo_ray", *shlex.split(command.replace("\\\n", " "))]),
+    ):
+        runpy.run_module("openrlhf.cli.train_ppo_ray", run_name="__main__")
+    made = stand_ins["openrlhf.trainer.ray"].create_vllm_engines
+    trained = stand_ins[trainer].PPOTrainer.remote.call_args
+    check(made.called and made.call_args.args[0] == 8, "OpenRLHF takes the command, and starts eight engines")
+    check(trained.args[3] is None and trained.args[4] is None, "neither a critic nor a model of rewards is started")
+
+
 async def main() -> None:
     """Play an episode through OpenRLHF's executor and check it token by token."""
+    check_command()
     engine = TrialEngine(trial_tokenizer(), [r"\boxed{1 2}", r"\boxed{4 1}", r"\boxed{4 6}"])
     (row,) = dataset_rows("game:Mastermind-v0-easy", 1, seed=3)
     output = await play(engine, row)
@@ -205,4 +248,7 @@ async def main() -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main())
+    if len(sys.argv) > 1:
+        print("\n".join(map(json.dumps, dataset_rows(sys.argv[1], int(sys.argv[2])))))
+    else:
+        asyncio.run(main())

@@ -1,48 +1,79 @@
 # /// script
 # requires-python = ">=3.11"
-# dependencies = ["transformers", "jinja2", "gem-core", "gem-games", "gem-train"]
+# dependencies = [
+#   "torch", "transformers", "jinja2", "hydra-core", "wandb", "torchdata", "datasets",
+#   "gem-core", "gem-games", "gem-train",
+# ]
+# [tool.gem]
+# no-deps = ["rl-square==0.0.2"]
+# [tool.gem.table]
+# framework = 'RL2'
+# rewards = 'summed; `adv.gamma` is not read'
+# images = 'no'
+# groups = '`responses_per_prompt`'
+# tools = 'in text'
+# failures = 'played again, then raised'
 # ///
-r"""RL2 (9161ede, and rl-square 0.0.2 of PyPI): a GEM environment for ``rollout.env_path``.
+r"""RL2 (rl-square 0.0.2 of PyPI, and its repository at 9161ede): a GEM environment for ``rollout.env_path``.
 
 RL2 runs the loop and keeps the ids as SGLang sampled them; it asks the environment for the text of the next prompt.
 Where that begins with the text so far, the sequence goes on; where a chat template rewrites earlier turns, RL2 begins
-another. Today's RL2 calls ``generate``, which here begins an episode and leaves the loop to RL2's ``base_generate``
-with ``env_step``; version 0.0.2 calls ``reset`` and ``step``. RL2 needs SGLang and flash-attn and does not install on
-a CPU: here stand-ins with the fields of its ``Sample`` and an engine that writes known tokens drive it::
+another. Version 0.0.2 calls ``reset`` and ``step``; the repository calls ``generate``, which here begins an episode and
+leaves the loop to RL2's ``base_generate`` with ``env_step``. RL2 needs SGLang and flash-attn and does not run on a CPU.
+Here RL2's own configuration reads the command for its version, its own function makes the advantages of two episodes,
+and an engine that writes known tokens plays an episode::
 
     python scripts/trainers.py rl2_env
     python examples/trainers/rl2_env.py  # where what it needs is installed
 
-On GPUs, with the rows of ``dataset_rows`` in ``gem.jsonl`` (read from RL2's source, and not tried)::
+On one node of eight GPUs: write the rows, then train. With version 0.0.2::
 
-    torchrun --nproc_per_node=8 -m RL2.trainer.ppo rollout.train.path=gem.jsonl rollout.test.path=gem.jsonl \
-        rollout.env_path=examples/trainers/rl2_env.py rollout.train.apply_chat_template=false \
-        rollout.train.prompts_per_rollout=64 rollout.train.responses_per_prompt=8 adv.gamma=0.9 \
-        rollout.train.sampling_params.max_new_tokens=1024 \
-        actor.model_name=Qwen/Qwen3-1.7B actor.max_length_per_device=8192
+    python examples/trainers/rl2_env.py game:GuessTheNumber-v0 12800 > gem.jsonl
 
-0.0.2 calls the paths ``train_data.path`` and ``test_data.path``. It also needs ``GEM_TOKENIZER=Qwen/Qwen3-1.7B`` in
-the environment, ``rollout.max_turns`` of at least the turns of the task, and
-``+rollout.train_sampling_params.skip_special_tokens=false``, or the text does not tell what was cut off.
+    GEM_TOKENIZER=Qwen/Qwen3-1.7B torchrun --nproc_per_node=8 -m RL2.trainer.ppo \
+        train_data.path=gem.jsonl test_data.path=gem.jsonl rollout.env_path=examples/trainers/rl2_env.py \
+        train_data.prompts_per_rollout=64 train_data.responses_per_prompt=8 rollout.max_turns=16 \
+        rollout.train_sampling_params.max_new_tokens=1024 +rollout.train_sampling_params.skip_special_tokens=false \
+        actor.model_name=Qwen/Qwen3-1.7B actor.max_length_per_device=16384 adv.norm_var=true \
+        trainer.use_wandb=false trainer.experiment_name=gem trainer.save_freq=64
 
-What RL2 cannot take: images, several agents, a limit of the context (give the task a limit of turns), and tool
-results under their ids: they come from the user. Rewards of turns are kept, each on the last token of its response,
-but the logged reward and dynamic filtering read the last one of each sequence only. It has no way to leave an episode
-out: one that failed is played again, and after ``ATTEMPTS`` failures the error is raised (in 0.0.2 at once). It never
-becomes a reward of 0.
+With the repository::
+
+    torchrun --nproc_per_node=8 -m RL2.trainer.ppo \
+        rollout.train.path=gem.jsonl rollout.test.path=gem.jsonl rollout.env_path=examples/trainers/rl2_env.py \
+        rollout.train.apply_chat_template=false rollout.test.prompts_per_rollout=64 \
+        rollout.train.prompts_per_rollout=64 rollout.train.responses_per_prompt=8 \
+        rollout.train.sampling_params.max_new_tokens=1024 actor.model_name=Qwen/Qwen3-1.7B \
+        actor.max_length_per_device=16384 adv.norm_var=true trainer.total_steps=200 \
+        trainer.use_wandb=false trainer.experiment_name=gem trainer.save_freq=64
+
+What RL2 cannot take: rewards of turns and a discount of turns. The rewards are on the last tokens of their turns, but
+its default estimator ``reinforce`` takes their sum and never reads ``adv.gamma``; with ``gae`` that counts tokens. Nor
+images, several agents, a limit of the context (give the task a limit of turns), and tool results under their ids: they
+come from the user. The logged reward and dynamic filtering read the last reward of each sequence only. RL2 has no way
+to leave an episode out: one that failed is played again, and after ``ATTEMPTS`` failures the error is raised (in 0.0.2
+at once). It never becomes a reward of 0.
 """
 
 from __future__ import annotations
 
 import asyncio
+import json
 import os
+import shlex
+import sys
 import tempfile
 from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache, partial
+from importlib.util import find_spec
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 from uuid import uuid4
 
 from gem_core import Response
@@ -213,15 +244,76 @@ def dataset_rows(env_id: str, count: int, seed: int = 0) -> list[dict[str, Any]]
 # A trial without a GPU.
 
 
+def check_command(folder: Path) -> None:
+    """Compose the printed command with the configuration of the RL2 that is installed, and look for what it needs."""
+    from hydra import compose, initialize_config_dir
+    from omegaconf import OmegaConf
+
+    released = not (folder / "trainer" / "config" / "actor").is_dir()
+    text = str(__doc__).partition("With version 0.0.2" if released else "With the repository")[2]
+    command = text.partition("RL2.trainer.ppo")[2].partition("\n\n")[0].replace("\\\n", " ")
+    with initialize_config_dir(str(folder / "trainer" / "config"), version_base=None):
+        config = compose("ppo", shlex.split(command))
+    OmegaConf.resolve(config)
+    needed = ["actor.model_name", "actor.max_length_per_device", "rollout.env_path", "trainer.experiment_name"]
+    if released:
+        needed += ["train_data.path", "train_data.prompts_per_rollout", "test_data.path"]
+        needed += ["rollout.train_sampling_params.max_new_tokens", "trainer.n_epochs"]
+    else:
+        needed += [f"rollout.{part}.{name}" for part in ("train", "test") for name in ("path", "prompts_per_rollout")]
+        needed += ["rollout.train.sampling_params.max_new_tokens", "trainer.total_steps"]
+    missing = [name for name in needed if OmegaConf.select(config, name) is None]
+    check(not missing, f"RL2 takes the command, and nothing that it needs is null{': ' * bool(missing)}{missing or ''}")
+
+
+def check_advantages() -> None:
+    """Let RL2's own function compare two episodes with the same rewards in another order."""
+    import torch
+    from RL2.utils import algorithms
+
+    advantages = getattr(algorithms, "compute_reinforce_adv", None) or algorithms._compute_reinforce_adv
+    rewards = torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    batch = {"rewards": rewards, "action_mask": torch.ones(3, 3)}
+    made = advantages(batch, 3, global_norm=False, norm_var=False)["advantages"]
+    expected = [[1 / 3] * 3, [1 / 3] * 3, [-2 / 3] * 3]
+    check(torch.allclose(made, torch.tensor(expected)), "every token has the episode's sum, without its place in time")
+
+
+@contextmanager
+def in_place_of_sglang(engine: TrialEngine, skip: bool) -> Iterator[None]:
+    """Let the engine answer what RL2's own ``base_generate`` asks a server."""
+
+    async def answered(url: Any, path: str, json: dict[str, Any]) -> dict[str, Any]:
+        made = await engine(json["input_ids"], max_tokens=json["sampling_params"]["max_new_tokens"])
+        logprobs = [(logprob, token, None) for logprob, token in zip(made.logprobs, made.token_ids, strict=True)]
+        about = {"output_token_logprobs": logprobs, "finish_reason": {"type": made.finish_reason}}
+        text = engine.tokenizer.decode(made.token_ids, skip_special_tokens=skip)
+        return {"text": text, "meta_info": {**about, "completion_tokens": len(made.token_ids)}}
+
+    if base_generate.__module__ == __name__:
+        yield
+        return
+    from RL2.datasets import rl
+
+    with patch.object(rl, "async_request", answered), patch.object(rl.OmegaConf, "to_container", dict):
+        yield
+
+
 async def main() -> None:
     """Play an episode in both forms and check it token by token."""
+    found = find_spec("RL2")
+    if found is not None:
+        check_command(Path(str(next(iter(found.submodule_search_locations or [])))))
+        check_advantages()
     engine = TrialEngine(trial_tokenizer(), [r"\boxed{1 2}", r"\boxed{4 1}", r"\boxed{4 6}"])
     (row,) = dataset_rows("game:Mastermind-v0-easy", 1, seed=3)
     for skip in (True, False):  # whether SGLang's text shows the token that ended a response
         engine.calls.clear()
         sample = Sample(sample=dict(row))
         config = {"apply_chat_template": False, "prompt_key": "prompt", "max_new_tokens": 500}
-        await generate(SimpleNamespace(**config, skip_special_tokens=skip), engine.tokenizer, engine, sample)
+        config |= {"sampling_params": {"max_new_tokens": 500}, "skip_special_tokens": skip}
+        with in_place_of_sglang(engine, skip):
+            await generate(SimpleNamespace(**config), engine.tokenizer, engine, sample)
         (made,) = sample.state_dicts
         check(sample.status == Sample.Status.DONE and not SESSIONS, "the episode is done, and its session closed")
         check_sequence(engine, made["states"], made["action_mask"], made["logps"])
@@ -242,4 +334,7 @@ async def main() -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main())
+    if len(sys.argv) > 1:
+        print("\n".join(map(json.dumps, dataset_rows(sys.argv[1], int(sys.argv[2])))))
+    else:
+        asyncio.run(main())

@@ -1,6 +1,14 @@
 # /// script
 # requires-python = ">=3.11"
 # dependencies = ["transformers", "jinja2", "gem-core", "gem-games", "gem-train"]
+# [tool.gem.table]
+# framework = 'ROLL'
+# tried = 'stand-ins'
+# rewards = 'yes, with `StepManager`'
+# images = 'no'
+# groups = '`group_size`'
+# tools = 'in text'
+# failures = 'a filter drops its group'
 # ///
 r"""ROLL (8eb27cc): GEM environments for its environment managers, without a fork of ROLL or of ``gem``.
 

@@ -1,6 +1,13 @@
 # /// script
 # requires-python = ">=3.11"
 # dependencies = ["skyrl-gym>=0.4,<0.5", "gem-core", "gem-games", "gem-train"]
+# [tool.gem.table]
+# framework = 'SkyRL-gym'
+# rewards = 'yes, on the last token of each response'
+# images = 'no'
+# groups = '`n_samples_per_prompt`'
+# tools = 'in text'
+# failures = 'played again, then raised'
 # ///
 r"""GEM environments in SkyRL: an environment of SkyRL-gym around any id, rows of data for it, and the trainer's start.
 

@@ -1,6 +1,13 @@
 # /// script
 # requires-python = ">=3.11"
 # dependencies = ["tinker-cookbook>=0.5.8,<0.7", "torch", "transformers", "gem-core", "gem-games", "gem-train"]
+# [tool.gem.table]
+# framework = 'Tinker cookbook'
+# rewards = 'on each transition; advantages take the sum'
+# images = 'passed on, not tried'
+# groups = 'yes'
+# tools = 'native, as the renderer reads them'
+# failures = 'raised: left out or tried again'
 # ///
 r"""Tinker cookbook: rollouts of its own in environments of GEM, with a reward on each transition.
 

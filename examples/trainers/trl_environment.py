@@ -1,6 +1,13 @@
 # /// script
 # requires-python = ">=3.11"
 # dependencies = ["trl>=1.16,<1.17", "torch", "transformers>=5.2", "gem-core", "gem-games", "gem-train"]
+# [tool.gem.table]
+# framework = 'TRL, `environment_factory`'
+# rewards = 'summed'
+# images = 'passed on, not tried'
+# groups = 'yes'
+# tools = 'native: each tool is a method'
+# failures = 'reward None, advantage 0'
 # ///
 r"""TRL, ``environment_factory``: GRPO in which the model plays by tool calls, and TRL runs the loop.
 
@@ -16,6 +23,8 @@ Install and run it here, in an environment of its own::
 On a GPU, with a model of the hub that calls tools (vLLM samples where it is installed)::
 
     python examples/trainers/trl_environment.py --model Qwen/Qwen3-0.6B --env game:Mastermind-v0-hard --steps 200
+
+Checkpoints are in ``--out``, the last two of them; the same command goes on from the last.
 
 What TRL cannot take: one scalar stands for an episode, the sum of the rewards of its turns. Several agents: play one
 seat (``gem.single_agent``). What the model says without a call of ``answer`` reaches no environment: the episode ends
@@ -45,6 +54,7 @@ import trl
 from datasets import Dataset
 from pydantic import BaseModel
 from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedTokenizerFast, Qwen3Config, Qwen3ForCausalLM
+from transformers.trainer_utils import get_last_checkpoint
 
 import gem_core as gem
 from gem_core.errors import EnvFaultError
@@ -235,19 +245,56 @@ def check_trial(seen: list[Any], before: list[Any], trainer: Any) -> None:
     check(moved == len(before), f"{len(seen)} optimiser steps moved all {moved} weight tensors")
 
 
-def main() -> int:
-    """Train; without a model's name, do the trial and check what the first lines of this file promise."""
+def read_options(arguments: list[str] | None = None) -> argparse.Namespace:
+    """Return the options of the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--model", help="of the hub, one that calls tools; by default a tiny random one, for a trial")
     parser.add_argument("--env", default="game:Mastermind-v0-easy")
     parser.add_argument("--steps", type=int, default=3)
-    options = parser.parse_args()
+    parser.add_argument("--out", default="runs/trl-environment", help="folder of checkpoints and of the model")
+    parser.add_argument("--save-steps", type=int, default=50, help="steps from one checkpoint to the next")
+    return parser.parse_args(arguments)
+
+
+def environments_of(options: argparse.Namespace) -> dict[str, type[GemEnvironment]]:
+    """Return the classes of the environments that are played; in a trial, one with a tool as well."""
+    classes = {"plain": environment_class("Plain", options.env)}
+    if options.model is None:
+        tools = ("tools", {"tools": [Halfway()], "tool_success_reward": 0.25})
+        classes["with_tool"] = environment_class("WithTool", "game:GuessTheNumber-v0-easy", wrappers=[tools])
+    return classes
+
+
+def configuration(options: argparse.Namespace, folder: str) -> trl.GRPOConfig:
+    """Return what TRL reads of the options."""
+    trial = options.model is None
+    # fmt: off
+    return trl.GRPOConfig(
+        folder, max_steps=options.steps, per_device_train_batch_size=8, num_generations=4, shuffle_dataset=False,
+        learning_rate=1e-4 if trial else 1e-6, beta=0.0, logging_steps=1, report_to="none",
+        save_steps=options.save_steps, save_total_limit=2,
+        max_completion_length=256 if trial else 4096, max_tool_calling_iterations=3 if trial else None,
+        use_cpu=not torch.cuda.is_available(), use_vllm=not trial and find_spec("vllm") is not None,
+        vllm_mode="colocate",
+    )
+    # fmt: on
+
+
+def check_command(folder: str) -> None:
+    """Let this file's parser and TRL's own checks of a configuration read the printed command."""
+    printed = next(line for line in str(__doc__).splitlines() if "--model" in line).split()[2:]
+    options = read_options(printed)
+    config = configuration(options, folder)
+    check(config.max_steps == options.steps == 200 and config.save_strategy == "steps", "TRL takes the command")
+    played = [made.env_id for made in environments_of(options).values()]
+    check(played == ["game:Mastermind-v0-hard"], "it trains on the environment that is named, and on no other")
+
+
+def main() -> int:
+    """Train; without a model's name, do the trial and check what the first lines of this file promise."""
+    options = read_options()
     torch.manual_seed(0)
-    tools = ("tools", {"tools": [Halfway()], "tool_success_reward": 0.25})
-    classes = {
-        "plain": environment_class("Plain", options.env),
-        "with_tool": environment_class("WithTool", "game:GuessTheNumber-v0-easy", wrappers=[tools]),
-    }
+    classes = environments_of(options)
     trial, seen = options.model is None, []
     if trial:
         torch.set_num_threads(1)  # more would wait for each other at this size
@@ -269,26 +316,25 @@ def main() -> int:
 
     rows = [{"prompt": [{"role": "user", "content": ""}], "environment": name, "seed": seed}
             for seed in range(1000) for name in classes]  # fmt: skip
-    with tempfile.TemporaryDirectory() as folder:
-        # fmt: off
-        config = trl.GRPOConfig(
-            folder, max_steps=options.steps, per_device_train_batch_size=8, num_generations=4, shuffle_dataset=False,
-            learning_rate=1e-4 if trial else 1e-6, beta=0.0, logging_steps=1, report_to="none", save_strategy="no",
-            max_completion_length=256 if trial else 4096, max_tool_calling_iterations=3 if trial else None,
-            use_cpu=not torch.cuda.is_available(), use_vllm=not trial and find_spec("vllm") is not None,
-            vllm_mode="colocate",
-        )
+    with tempfile.TemporaryDirectory() as temporary:
+        if trial:
+            check_command(temporary)
+            options.out, options.save_steps = temporary, options.steps
         trainer = trl.GRPOTrainer(
-            model, watch if trial else None, config, Dataset.from_list(rows), processing_class=tokenizer,
+            model,
+            watch if trial else None,
+            configuration(options, options.out),
+            Dataset.from_list(rows),
+            processing_class=tokenizer,
             environment_factory=classes,
         )
-        # fmt: on
         before = [weight.detach().clone() for weight in model.parameters()]
-        trainer.train()
+        trainer.train(resume_from_checkpoint=get_last_checkpoint(options.out) if os.path.isdir(options.out) else None)
         if trial:
             check_trial(seen, before, trainer)
+            check(get_last_checkpoint(options.out) is not None, "a checkpoint is there to go on from")
         else:
-            trainer.save_model("trl-environment")
+            trainer.save_model(options.out)
     return 0
 
 

@@ -1,6 +1,13 @@
 # /// script
 # requires-python = ">=3.11"
 # dependencies = ["trl>=1.16,<1.17", "torch", "transformers>=5.2", "gem-core", "gem-games", "gem-train"]
+# [tool.gem.table]
+# framework = 'TRL, `rollout_func`'
+# rewards = 'summed'
+# images = 'no'
+# groups = 'yes'
+# tools = 'in text'
+# failures = 'reward None, no token learnt'
 # ///
 r"""TRL, ``rollout_func``: GRPO on whole episodes of GEM, token in, token out.
 
@@ -15,6 +22,8 @@ Install and run it here, in an environment of its own::
 On a GPU, with a model of the hub, sampled by vLLM in the same process where that is installed::
 
     python examples/trainers/trl_rollout.py --model Qwen/Qwen3-0.6B --env game:GuessTheNumber-v0 --steps 200
+
+Checkpoints are in ``--out``, the last two of them; the same command goes on from the last.
 
 What TRL cannot take: one scalar stands for an episode, the sum of the rewards of its turns. Several agents: play one
 seat (``gem.single_agent``). Images. An episode that ended in an error has the reward None, which TRL leaves out of the
@@ -32,7 +41,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from typing import Any
@@ -42,18 +51,68 @@ os.environ.setdefault("TRL_EXPERIMENTAL_SILENCE", "1")
 import torch
 from datasets import Dataset
 from transformers import AutoModelForCausalLM, AutoTokenizer, Qwen3Config, Qwen3ForCausalLM
+from transformers.trainer_utils import get_last_checkpoint
 from trl import GRPOConfig, GRPOTrainer
 from trl.chat_template_utils import get_training_chat_template
 from trl.models import unwrap_model_for_generation
 
 import gem_core as gem
+from gem_core.errors import AgentError
 from gem_train import TokenAgent, batches
-from gem_train.adapters import BatchedEngine, ChatSession, Generated, trial_tokenizer
+from gem_train.adapters import ChatSession, Generated, trial_tokenizer
 from gem_train.adapters.trial import check
 from gem_train.tokens import Completion, completions
 
 MAX_TOKENS = 16
 """Longest response of the trial; ``--max-tokens`` for others."""
+
+
+class BatchedEngine:
+    """Turns requests that come at about the same time into one call, as a ``generate`` for ``TokenAgent``.
+
+    One batch is answered at a time, in a thread; requests that come meanwhile are the next one.
+
+    Args:
+        ask: Answers a batch: prompts, and the sampling of each. What it raises is raised at each of its requests.
+        most: Requests in a batch at most; a full batch waits no longer.
+        quiet_s: A batch that is not full is sent once no request has come for this many seconds.
+    """
+
+    def __init__(self, ask: Callable[..., Sequence[Generated]], *, most: int, quiet_s: float = 0.02) -> None:
+        self.ask, self.most, self.quiet_s = ask, most, quiet_s
+        self._waiting: list[tuple[list[int], dict[str, Any], asyncio.Future[Generated]]] = []
+        self._sender: asyncio.Task[None] | None = None
+
+    async def __call__(self, prompt_ids: list[int], **sampling: Any) -> Generated:
+        """Return the response to a prompt once its batch is answered."""
+        reply: asyncio.Future[Generated] = asyncio.get_running_loop().create_future()
+        self._waiting.append((prompt_ids, sampling, reply))
+        if self._sender is None or self._sender.done():
+            self._sender = asyncio.create_task(self._send())
+        return await reply
+
+    async def _send(self) -> None:
+        while self._waiting:
+            count = 0
+            while count < len(self._waiting) < self.most:
+                count = len(self._waiting)
+                await asyncio.sleep(self.quiet_s)
+            batch, self._waiting = self._waiting[: self.most], self._waiting[self.most :]
+            prompts, samplings, replies = zip(*batch, strict=True)
+            answers: list[Generated | Exception]
+            try:
+                answers = list(await asyncio.to_thread(self.ask, list(prompts), list(samplings)))
+                if len(answers) != len(batch):
+                    raise AgentError(f"the engine gave {len(answers)} answers to {len(batch)} prompts")
+            except Exception as error:  # noqa: BLE001 - an engine may raise anything
+                answers = [error] * len(batch)
+            for reply, answer in zip(replies, answers, strict=True):
+                if reply.done():  # its episode was given up meanwhile
+                    continue
+                if isinstance(answer, Exception):
+                    reply.set_exception(answer)
+                else:
+                    reply.set_result(answer)
 
 
 def engine_of(trainer: GRPOTrainer, most: int) -> BatchedEngine:
@@ -204,14 +263,43 @@ def check_trial(seen: list[Any], before: list[Any], trainer: GRPOTrainer) -> Non
     check(moved == len(before), f"{len(seen)} optimiser steps moved all {moved} weight tensors")
 
 
-def main() -> int:
-    """Train; without a model's name, do the trial and check what the first lines of this file promise."""
+def read_options(arguments: list[str] | None = None) -> argparse.Namespace:
+    """Return the options of the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--model", help="a model of the hub; by default a tiny random one, for a trial")
     parser.add_argument("--env", default="game:GuessTheNumber-v0-easy")
     parser.add_argument("--steps", type=int, default=3)
     parser.add_argument("--max-tokens", type=int, default=512, help="longest response, with --model")
-    options = parser.parse_args()
+    parser.add_argument("--out", default="runs/trl-rollout", help="folder of checkpoints and of the model")
+    parser.add_argument("--save-steps", type=int, default=50, help="steps from one checkpoint to the next")
+    return parser.parse_args(arguments)
+
+
+def configuration(options: argparse.Namespace, folder: str) -> GRPOConfig:
+    """Return what TRL reads of the options."""
+    trial = options.model is None
+    # fmt: off
+    return GRPOConfig(
+        folder, max_steps=options.steps, per_device_train_batch_size=8, num_generations=4, shuffle_dataset=False,
+        learning_rate=1e-3 if trial else 1e-6, beta=0.0, logging_steps=1, report_to="none",
+        save_steps=options.save_steps, save_total_limit=2,
+        use_cpu=not torch.cuda.is_available(), use_vllm=not trial and find_spec("vllm") is not None,
+        vllm_mode="colocate",
+    )
+    # fmt: on
+
+
+def check_command(folder: str) -> None:
+    """Let this file's parser and TRL's own checks of a configuration read the printed command."""
+    printed = next(line for line in str(__doc__).splitlines() if "--model" in line).split()[2:]
+    options = read_options(printed)
+    config = configuration(options, folder)
+    check(config.max_steps == options.steps == 200 and config.save_strategy == "steps", "TRL takes the command")
+
+
+def main() -> int:
+    """Train; without a model's name, do the trial and check what the first lines of this file promise."""
+    options = read_options()
     torch.manual_seed(0)
     if options.model is None:
         torch.set_num_threads(1)  # more would wait for each other at this size
@@ -236,25 +324,25 @@ def main() -> int:
     gem.register("trial:Flaky-v0", Flaky)
     env_ids = [options.env, "trial:Flaky-v0"] if trial else [options.env]
     rows = [{"prompt": json.dumps({"env": env_id, "seed": seed})} for seed in range(1000) for env_id in env_ids]
-    # fmt: off
-    with tempfile.TemporaryDirectory() as folder:
-        config = GRPOConfig(
-            folder, max_steps=options.steps, per_device_train_batch_size=8, num_generations=4, shuffle_dataset=False,
-            learning_rate=1e-3 if trial else 1e-6, beta=0.0, logging_steps=1, report_to="none", save_strategy="no",
-            use_cpu=not torch.cuda.is_available(), use_vllm=not trial and find_spec("vllm") is not None,
-            vllm_mode="colocate",
-        )
+    with tempfile.TemporaryDirectory() as temporary:
+        if trial:
+            check_command(temporary)
+            options.out, options.save_steps = temporary, options.steps
         trainer = GRPOTrainer(
-            model, reward_of_episode, config, Dataset.from_list(rows), processing_class=tokenizer,
+            model,
+            reward_of_episode,
+            configuration(options, options.out),
+            Dataset.from_list(rows),
+            processing_class=tokenizer,
             rollout_func=watched if trial else rollout,
         )
-        # fmt: on
         before = [weight.detach().clone() for weight in model.parameters()]
-        trainer.train()
+        trainer.train(resume_from_checkpoint=get_last_checkpoint(options.out) if os.path.isdir(options.out) else None)
         if trial:
             check_trial(seen, before, trainer)
+            check(get_last_checkpoint(options.out) is not None, "a checkpoint is there to go on from")
         else:
-            trainer.save_model("trl-rollout")
+            trainer.save_model(options.out)
     return 0
 
 

@@ -3,6 +3,13 @@
 # dependencies = ["verifiers>=0.4,<0.5", "uv", "gem-core", "gem-games", "gem-train"]
 # [tool.gem]
 # python = "3.12"
+# [tool.gem.table]
+# framework = 'verifiers'
+# rewards = 'summed; listed in `trace.info`'
+# images = 'as data URLs'
+# groups = '`-r`, `group_size`'
+# tools = 'in text'
+# failures = 'left out, as an error of the trace'
 # ///
 r"""GEM environments in verifiers and prime-rl: a v1 taskset, and the environment that plays its tasks.
 

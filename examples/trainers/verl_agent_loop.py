@@ -4,6 +4,13 @@
 #   "verl>=0.9.1,<0.10", "TransferQueue>=0.1.10", "torch", "cachetools", "fastapi", "uvicorn",
 #   "gem-core", "gem-games", "gem-train",
 # ]
+# [tool.gem.table]
+# framework = 'verl'
+# rewards = 'yes, on the last token of each response'
+# images = 'no'
+# groups = '`rollout.n`'
+# tools = 'in text'
+# failures = 'played again, then raised: its group goes on without it'
 # ///
 r"""verl (0.9.1): episodes of GEM, and the paper's algorithms with a reward, a discount and an advantage for each turn.
 

@@ -10,7 +10,7 @@ import pytest
 from trainer_files import import_trainer
 
 
-@pytest.mark.parametrize("name", ["oat_actor", "rl2_env", "roll_env"])
+@pytest.mark.parametrize("name", ["rl2_env", "roll_env"])
 def test_file_holds_what_it_promises(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,6 +22,7 @@ STAND_INS: dict[str, dict[str, Any]] = {
     "trl.models": {"unwrap_model_for_generation": None},
     "datasets": {"Dataset": None},
     "transformers": UNUSED,
+    "transformers.trainer_utils": {"get_last_checkpoint": None},
     "tokenizers": {},
 }
 

@@ -1,6 +1,5 @@
 """The public names, which are imported on first use."""
 
-from .batched_engine import BatchedEngine as BatchedEngine
 from .chat_session import ChatSession as ChatSession, ChatStep as ChatStep
 from .chat_template import ChatTemplate as ChatTemplate
 from .image_urls import images_as_urls as images_as_urls
