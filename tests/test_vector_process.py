@@ -164,7 +164,7 @@ def test_worker_killed_in_the_middle_of_a_step_truncates_that_step() -> None:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("how", ["close", "kill", "drop"])
 def test_processes_that_an_environment_left_behind_end_with_its_worker(how: str) -> None:
-    """However that ends."""
+    """However that ends; one that was killed is noticed by the next step."""
     vector = gem.make_vec(THREAD, 1, backend="process", seed=1, length=3)
     vector.reset()
     vector.step(["!children"])
@@ -176,6 +176,7 @@ def test_processes_that_an_environment_left_behind_end_with_its_worker(how: str)
         vector.close()
     elif how == "kill":
         os.kill(pid, signal.SIGKILL)
+        vector.step(["a"])
     else:
         del vector
         gc.collect()
