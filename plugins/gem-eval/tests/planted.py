@@ -118,62 +118,47 @@ class ShellHere(gem.Env):
 
 
 class OwnClass(gem.Env):
-    """Not a data set, without gold_action: one capital a seed."""
+    """Not a data set, without gold_action: one capital a seed.
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-        """Ask."""
-        super().reset(seed=seed)
-        self.country = str(self.np_random.choice(list(CAPITALS)))
-        return f"Name the capital of {self.country} inside \\boxed{{}}.", {}
+    Args:
+        tell: Called with the answer; returns more text for the observation, or more for the info.
+        solves: Called with a response that may be wrong; what it grades so is right as well. It may raise.
+        sample: Returns a random action.
+    """
 
-    def step(self, action: str) -> Any:
-        """Grade."""
-        correct = gem.extract_last_boxed_answer(action) == CAPITALS[self.country]
-        return gem.TERMINAL_STATE, float(correct), True, False, {"correct": correct}
-
-
-class OwnTelling(OwnClass):
-    """Shows what a function makes of the answer: more text at the end, or more of the info."""
-
-    def __init__(self, tell: Any) -> None:
+    def __init__(self, tell: Any = None, solves: Any = None, sample: Any = None) -> None:
         super().__init__()
-        self.tell = tell
+        self.tell, self.solves, self.sample = tell, solves, sample
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         """Ask, and tell."""
-        observation, info = super().reset(seed)
-        told = self.tell(CAPITALS[self.country])
-        return (f"{observation}\n{told}", info) if isinstance(told, str) else (observation, {**info, **told})
-
-
-class OwnGrading(OwnClass):
-    """Is graded by a function of the response, which may raise."""
-
-    def __init__(self, solves: Any) -> None:
-        super().__init__()
-        self.solves = solves
+        super().reset(seed=seed)
+        self.country = str(self.np_random.choice(list(CAPITALS)))
+        asked = f"Name the capital of {self.country} inside \\boxed{{}}."
+        told = self.tell(CAPITALS[self.country]) if self.tell else {}
+        return (f"{asked}\n{told}", {}) if isinstance(told, str) else (asked, told)
 
     def step(self, action: str) -> Any:
         """Grade."""
-        correct = bool(self.solves(action))
-        return gem.TERMINAL_STATE, float(correct), True, False, {"correct": correct}
-
-
-class OwnLucky(OwnClass):
-    """Whatever it samples is right, and it knows no gold answer."""
-
-    def step(self, action: str) -> Any:
-        """Grade."""
-        correct = action.startswith("I say ")
+        right = gem.extract_last_boxed_answer(action) == CAPITALS[self.country]
+        correct = bool(self.solves(action)) if self.solves else right
         return gem.TERMINAL_STATE, float(correct), True, False, {"correct": correct}
 
     def sample_random_action(self) -> str:
-        """Return a number."""
-        return f"I say {self.action_random.integers(1000)}"
+        """Return what the function returns, if there is one."""
+        return self.sample(self.action_random) if self.sample else super().sample_random_action()
 
 
 class TwoTries(OwnClass):
-    """Two tries; a wrong answer is told the right one before the second."""
+    """Two tries; a wrong answer is told the right one before the second.
+
+    Args:
+        told: What is said of the right answer.
+    """
+
+    def __init__(self, told: str) -> None:
+        super().__init__(sample=lambda draws: f"\\boxed{{{draws.choice(list(CAPITALS.values()))}}}")
+        self.told = told
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         """Ask."""
@@ -185,25 +170,12 @@ class TwoTries(OwnClass):
         self.tries += 1
         correct = gem.extract_last_boxed_answer(action) == CAPITALS[self.country]
         over = correct or self.tries == 2
-        told = gem.TERMINAL_STATE if over else f"Wrong, the right answer was {CAPITALS[self.country]}. Once more!"
+        told = gem.TERMINAL_STATE if over else self.told.format(CAPITALS[self.country])
         return told, float(correct), over, False, {"correct": correct} if over else {}
-
-    def sample_random_action(self) -> str:
-        """Return a capital."""
-        return f"\\boxed{{{self.action_random.choice(list(CAPITALS.values()))}}}"
 
     def gold_action(self) -> str:
         """Return the right answer."""
         return f"\\boxed{{{CAPITALS[self.country]}}}"
-
-
-class Corrects(TwoTries):
-    """Tells the right answer in passing."""
-
-    def step(self, action: str) -> Any:
-        """Grade; tell."""
-        _, *rest = super().step(action)
-        return f"No, people live in {CAPITALS[self.country]} there.", *rest
 
 
 class TellingTool(gem.DatasetEnv):
@@ -311,6 +283,13 @@ OWN = {
 """What an environment without gold answers shows."""
 
 
+LUCKY = {
+    "solves": lambda action: action.startswith("I say "),
+    "sample": lambda draws: f"I say {draws.integers(1000)}",
+}
+"""Whatever is sampled is right."""
+
+
 def planted() -> dict[str, tuple[Any, dict[str, Any], str]]:
     """Return what to register by name: entry point, keyword arguments, and the kind of problem to be found."""
     data = gem.DatasetEnv
@@ -319,7 +298,7 @@ def planted() -> dict[str, tuple[Any, dict[str, Any], str]]:
     return {
         **{name: (data, {"rows": ROWS, "grade": grade}, kind) for name, (kind, grade) in GRADERS.items()},
         **{name: (Telling, {"rows": rows, "tell": tell}, "leak") for name, (rows, tell) in TOLD.items()},
-        **{f"own-{name}": (OwnTelling, {"tell": tell}, "leak") for name, tell in OWN.items()},
+        **{f"own-{name}": (OwnClass, {"tell": tell}, "leak") for name, tell in OWN.items()},
         **{f"ends-{name}": (data, {"rows": ended(form)}, "leak") for name, form in ENDINGS.items()},
         "eval": (data, {"rows": SUMS, "grade": evaluates}, "tamper"),
         "eval-scope": (data, {"rows": SUMS, "grade": evaluates_in_its_scope}, "tamper"),
@@ -328,12 +307,12 @@ def planted() -> dict[str, tuple[Any, dict[str, Any], str]]:
         "exit-code": (CodeRows, {"rows": CODE_ROWS, "grade": run_and_exit}, "tamper"),
         "shown": (data, {"rows": shown, **template}, "leak"),
         "shell-here": (ShellHere, {}, "tamper"),
-        "own-constant": (OwnGrading, {"solves": lambda action: "{yes}" in action}, "constant"),
-        "own-lucky": (OwnLucky, {}, "random"),
-        "corrects": (Corrects, {}, "leak"),
+        "own-constant": (OwnClass, {"solves": lambda action: "{yes}" in action}, "constant"),
+        "own-lucky": (OwnClass, LUCKY, "random"),
+        "corrects": (TwoTries, {"told": "No, people live in {} there."}, "leak"),
         "tool": (TellingTool, {"rows": ROWS}, "leak"),
-        "crash": (OwnGrading, {"solves": lambda action: action.split("\\boxed{")[1] == "?"}, "crash"),
-        "two-tries": (TwoTries, {}, "leak"),
+        "crash": (OwnClass, {"solves": lambda action: action.split("\\boxed{")[1] == "?"}, "crash"),
+        "two-tries": (TwoTries, {"told": "Wrong, the right answer was {}. Once more!"}, "leak"),
         "stateful": (Stateful, {"rows": ROWS}, "nondeterministic"),
         "wrong-gold": (data, {"rows": [*ROWS[1:], {**ROWS[0], "answer": "a } b </answer> c"}]}, "gold"),
         "no-gold": (data, {"rows": [*ROWS, {"question": "And of Laos?", "answer": ""}]}, "no gold"),
