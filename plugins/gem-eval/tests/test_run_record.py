@@ -83,7 +83,7 @@ def test_a_run_is_read_while_it_grows(tmp_path: Path, played: list[Episode]) -> 
         assert [len(run.refresh(4)), run.share_read < 1, len(run.refresh(4)), run.share_read] == [4, True, 2, 1.0]
         with (tmp_path / "run" / "index.jsonl").open("ab") as index:
             index.write(b'{"number": 2, "off')
-        assert run.refresh() == []
+        assert (run.refresh(), run.damaged) == ([], 0)
 
 
 def test_the_later_of_two_records_of_an_episode_counts(tmp_path: Path, played: list[Episode]) -> None:

@@ -98,6 +98,16 @@ def test_old_and_new_verdicts_are_compared(
     assert len(gem_eval.score(run, lambda episode: True).errors) == 2
 
 
+def test_an_episode_without_a_verdict_has_none_to_change(tmp_path: Path) -> None:
+    """And one for which the grader fails is an error, not one that it cannot tell."""
+    write_episodes(
+        tmp_path / "run.jsonl", [Episode("x:Y", 1, "?", {}, [Transition("?", gem.Response("!"), 0, True, False, {})])]
+    )
+    assert gem_eval.score(tmp_path / "run.jsonl", lambda episode: True).changed == []
+    (task,) = gem_eval.score(tmp_path / "run.jsonl", lambda episode: 1 / 0, name="fails").tasks
+    assert (task.unknown, task.errors) == (0, 1)
+
+
 def test_scores_go_on_after_an_interrupt_and_failures_are_tried_again(played: Path) -> None:
     """What was graded is kept, also behind a line that was torn."""
     seen: list[int] = []

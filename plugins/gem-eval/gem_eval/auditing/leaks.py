@@ -23,7 +23,7 @@ _SHOWN_ANYWAY = {"feedback", "suffix", "messages", "system", "tools", "tool_inst
 _TELLING = (
     r"(?:answers?|ans|solution|gold|labels?|target|expected|reference|truth|key|hint|secret|hidden|correct|debug)"
 )
-_MARK = re.compile(rf"\b{_TELLING}\b[^\n:=]{{0,20}}(?:[:=]|\b(?:is|was)\b)\s*(\S[^\n]{{0,80}})", re.IGNORECASE)
+_MARK = re.compile(rf"\b{_TELLING}\b[^\n:=]{{0,20}}[:=]\s*(\S[^\n]{{0,80}})", re.IGNORECASE)
 _BRIEF = 200
 """Characters of what is no passage, where an answer is one thing among others."""
 _AROUND = " .,;:!?()[]{}<>*\"'`-"
