@@ -7,16 +7,14 @@ import os
 import re
 import shutil
 import socket
-import sqlite3
 import subprocess
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from mcp_helping import around, servers_of, step, wait_until_no_server_runs
+from mcp_helping import around, step, wait_until_no_server_runs
 
-import gem_core as gem
 from gem_core.data import DatasetEnv
 from gem_core.tools import ToolEnv
 
@@ -50,44 +48,6 @@ def test_time():
     assert info["structured"]["time_difference"] == "+9.0h"
     assert "T21:00:00+09:00" in observation
     assert step(env, "get_current_time", timezone="No/Where")[1]["failed"]
-    env.close()
-
-
-def test_git(tmp_path):
-    git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@example.com"]
-    subprocess.run(["git", "init", "-q", "-b", "trunk", str(tmp_path)], check=True)
-    (tmp_path / "file").write_text("words")
-    subprocess.run([*git, "add", "file"], check=True)
-    env = around(("mcp", {"command": program("python/bin/mcp-server-git"), "args": ["--repository", str(tmp_path)]}))
-    assert "new file:   file" in step(env, "git_status", repo_path=str(tmp_path))[0]
-    subprocess.run([*git, "commit", "-q", "-m", "the first"], check=True)
-    assert "the first" in step(env, "git_log", repo_path=str(tmp_path), max_count=1)[0]
-    assert step(env, "git_log")[1]["failed"]
-    env.close()
-
-
-def test_sqlite_with_a_server_of_the_older_protocol_package(tmp_path):
-    database = tmp_path / "shop.db"
-    env = around(("mcp", {"command": program("sqlite/bin/mcp-server-sqlite"), "args": ["--db-path", str(database)]}))
-    assert not step(env, "create_table", query="CREATE TABLE item (name TEXT, price INTEGER)")[1]["failed"]
-    step(env, "write_query", query="INSERT INTO item VALUES ('tea', 3), ('milk', 2)")
-    assert "5" in step(env, "read_query", query="SELECT SUM(price) AS total FROM item")[0]
-    assert "no such table" in step(env, "read_query", query="SELECT * FROM absent")[0]
-    env.close()
-    assert sqlite3.connect(database).execute("SELECT COUNT(*) FROM item").fetchone() == (2,)
-
-
-def test_filesystem(tmp_path):
-    (tmp_path / "a.txt").write_text("inside")
-    command = program("npm/node_modules/.bin/mcp-server-filesystem")
-    env = around(("mcp", {"command": command, "args": [str(tmp_path)], "include": ["read_*", "write_file", "list_*"]}))
-    assert "edit_file" not in env.tools
-    assert "inside" in step(env, "read_text_file", path=str(tmp_path / "a.txt"))[0]
-    step(env, "write_file", path=str(tmp_path / "b.txt"), content="new")
-    assert (tmp_path / "b.txt").read_text() == "new"
-    observation, info = step(env, "read_text_file", path="/etc/passwd")
-    assert info["failed"]
-    assert "outside allowed directories" in observation
     env.close()
 
 
@@ -184,18 +144,3 @@ def test_postgresql_is_used_in_several_turns(database):
     _, reward, terminated, _, _ = env.step(f"\\boxed{{{total[0]['total']}}}")
     assert (reward, terminated) == (1.0, True)
     env.close()
-
-
-def test_postgresql_is_shared_by_many_episodes(database):
-    """One server for all episodes of the process, each of which reads its own row."""
-    options = {"command": program("python/bin/python"), "args": [str(SQL_SERVER)], "env": {"DATABASE_URI": database}}
-    env = gem.make_vec("mcptest:Question-v0", 4, wrappers=[("mcp", {**options, "sessions": "shared"})], seed=1)
-    env.reset()
-    for number in range(3):
-        call = {"name": "execute_sql", "arguments": {"sql": f"SELECT {number} AS n"}}
-        observations = env.step([f"<tool_call>{json.dumps(call)}</tool_call>"] * 4)[0]
-        assert all(f'[{{"n": {number}}}]' in observation for observation in observations)
-    assert len(servers_of()) == 1
-    env.close()
-    del env
-    wait_until_no_server_runs()

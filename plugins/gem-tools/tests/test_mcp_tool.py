@@ -6,11 +6,10 @@ import asyncio
 import pickle
 import re
 import sys
-import threading
 from collections.abc import Iterator
 
 import pytest
-from mcp_helping import BAD_SERVER, QUESTION, action, around, bad, question, servers_of, step, wait_until_no_server_runs
+from mcp_helping import BAD_SERVER, action, around, bad, question, servers_of, step, wait_until_no_server_runs
 
 import gem_core as gem
 from gem_core.background import run_sync
@@ -257,24 +256,6 @@ def test_servers_get_none_of_our_secrets(monkeypatch):
 
 
 @pytest.mark.thorough
-def test_many_threads_at_once():
-    choice = bad(sessions="shared")
-    seen: list[str] = []
-
-    def play() -> None:
-        env = around(choice)
-        seen.extend(step(env, "echo", text=str(number))[0] for number in range(20))
-        env.close()
-
-    threads = [threading.Thread(target=play) for _ in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert sorted(seen) == sorted([str(number) for number in range(20)] * 8)
-
-
-@pytest.mark.thorough
 def test_inside_a_running_loop():
     """Made, stepped and closed on a loop of the caller's; made on the library's, where to wait for it would not end."""
 
@@ -294,17 +275,6 @@ def test_inside_a_running_loop():
     env.reset(seed=0)
     assert step(env, "count")[0] == "1"
     env.close()
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("backend", ["sync", "async", "process"])
-def test_vector_backends(backend):
-    options = {} if backend == "sync" else {"backend": backend}
-    with gem.make_vec(QUESTION, 3, wrappers=[bad()], **options) as env:
-        env.reset()
-        for number in ("1", "2"):
-            observations = env.step([action("count", {})] * 3)[0]
-            assert all(f"Output of count:\n{number}\n" in observation for observation in observations)
 
 
 @pytest.mark.thorough

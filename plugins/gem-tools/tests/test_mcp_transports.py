@@ -12,9 +12,6 @@ from typing import Any
 import pytest
 from mcp_helping import PATIENCE_S, around, step, wait_until_no_server_runs
 
-from gem_core.testing import check_tool
-from gem_tools.mcp.tool import make_mcp
-
 SERVER = '''
 import sys
 from mcp.server.mcpserver import MCPServer
@@ -72,9 +69,3 @@ def test_its_tools_are_called(library):
     assert '"until": "Friday"' in observation
     assert step(env, "lend", title=[1])[1]["failed"]
     env.close()
-
-
-@pytest.mark.thorough
-def test_they_keep_what_a_tool_promises(library):
-    (tool,) = make_mcp(**library)
-    assert len(check_tool(tool, {"title": "Emma"})) > 5

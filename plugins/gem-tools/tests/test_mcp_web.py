@@ -89,24 +89,6 @@ def test_a_server_that_is_down_is_waited_for_at_the_next_call():
         env.close()
 
 
-def test_a_call_that_cannot_be_sent_does_not_repeat_another_that_was():
-    """The library gives up the connection of both, which share a session."""
-    with WebServer() as server:
-        options = {"url": server.url, "server_name": "web", "sessions": "shared"}
-        one, other = around(("mcp", options)), around(("mcp", options))
-        observations = []
-        thread = threading.Thread(target=lambda: observations.append(step(one, "hang")[0]))
-        thread.start()
-        server.called.wait()
-        server.stop_listening()
-        assert step(other, "echo", a=1)[1]["failed"]
-        thread.join()
-        assert observations[0].startswith("The connection to the server web was lost during the call: ")
-        assert server.calls == ["hang"]
-        for env in (one, other):
-            env.close()
-
-
 @pytest.mark.parametrize("transport", ["http", "sse"])
 def test_an_address_where_nobody_is(transport):
     with WebServer() as server:

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from python_levels import SMALL, Watched, attack, pool_of
+from python_levels import SMALL, Watched, attack, gained, pool_of
 
 from gem_tools.python import Limits, levels
 
@@ -54,19 +54,12 @@ def test_it_is_the_same_user(watched: Watched) -> None:
 
 def test_looking_into_other_processes(watched: Watched, bystander: subprocess.Popen[bytes]) -> None:
     """Neither this process nor another shows its variables, memory, files or arguments."""
-    code = f"""
-import os
-seen = []
-for pid in ({os.getpid()}, os.getppid(), {bystander.pid}):
-    for name in ("environ", "mem", "maps", "cmdline", "status", "auxv"):
-        try: seen.append((pid, name, open(f"/proc/{{pid}}/{{name}}", "rb").read(16)))
-        except OSError: pass
-    for name in ("cwd", "root", "exe", "fd/0"):
-        try: seen.append((pid, name, os.readlink(f"/proc/{{pid}}/{{name}}")))
-        except OSError: pass
-print(seen)
-"""
-    assert attack(watched, code).stdout == "[]\n"
+    lines = []
+    for pid in (str(os.getpid()), "{os.getppid()}", str(bystander.pid)):
+        files = ("environ", "mem", "maps", "cmdline", "status", "auxv")
+        lines += [f"open(f'/proc/{pid}/{name}', 'rb').read(16)" for name in files]
+        lines += [f"os.readlink(f'/proc/{pid}/{name}')" for name in ("cwd", "root", "exe", "fd/0")]
+    assert gained(watched, *lines) == []
 
 
 def test_reading_and_writing_files_of_its_user(watched: Watched, tmp_path: Path) -> None:
@@ -74,39 +67,16 @@ def test_reading_and_writing_files_of_its_user(watched: Watched, tmp_path: Path)
     private = tmp_path / "private"
     private.write_text("kept", "utf-8")
     private.chmod(0o600)
-    places = [
-        str(tmp_path),
-        tempfile.gettempdir(),
-        "/tmp",
-        "/var/tmp",
-        "/dev/shm",
-        "/run/lock",
-        os.path.expanduser("~"),
-    ]
-    name = secrets.token_hex(8)
-    code = f"""
-import os
-done = []
-def attempt(what, act):
-    try:
-        act()
-        done.append(what)
-    except OSError: pass
-attempt("read", lambda: open({str(private)!r}).read())
-attempt("cut", lambda: os.truncate({str(private)!r}, 0))
-attempt("remove", lambda: os.unlink({str(private)!r}))
-attempt("link", lambda: os.link({str(private)!r}, "linked"))
-attempt("move", lambda: os.rename({str(private)!r}, "moved"))
-for place in {places!r}:
-    attempt("list " + place, lambda: os.listdir(place))
-    attempt("write " + place, lambda: open(os.path.join(place, {name!r}), "w"))
-    attempt("mkdir " + place, lambda: os.mkdir(os.path.join(place, {name!r})))
-attempt("terminal", lambda: os.open("/dev/ptmx", os.O_RDWR | os.O_NOCTTY))
-open("mine", "w").write("x"); os.mkdir("a"); os.rename("mine", "a/mine")
-print(done, os.listdir("a"))
-"""
-    assert attack(watched, code).stdout == "[] ['mine']\n"
+    places = [str(tmp_path), tempfile.gettempdir(), "/tmp", "/var/tmp", "/dev/shm", "/run/lock"]
+    name, path = secrets.token_hex(8), str(private)
+    lines = [f"open({path!r}).read()", f"os.truncate({path!r}, 0)", f"os.unlink({path!r})"]
+    lines += [f"os.link({path!r}, 'linked')", f"os.rename({path!r}, 'moved')", "os.open('/dev/ptmx', os.O_RDWR)"]
+    for place in (*places, os.path.expanduser("~")):
+        lines += [f"os.listdir({place!r})", f"open('{place}/{name}', 'w')", f"os.mkdir('{place}/{name}')"]
+    assert gained(watched, *lines) == []
     assert private.read_text("utf-8") == "kept"
+    own = "import os\nopen('mine', 'w').write('x'); os.mkdir('a'); os.rename('mine', 'a/mine')\nprint(os.listdir('a'))"
+    assert attack(watched, own).stdout == "['mine']\n"
 
 
 def test_permissions_owners_and_times_of_its_users_files(watched: Watched, tmp_path: Path) -> None:
@@ -210,23 +180,20 @@ os.kill(os.getpid(), 0)
 @pytest.mark.thorough
 def test_slowing_other_processes_down(watched: Watched, bystander: subprocess.Popen[bytes]) -> None:
     """Their processors, priorities and limits stay."""
-    code = f"""
-import os, resource
-done = []
-for name, act in (("affinity", lambda: os.sched_setaffinity({bystander.pid}, [0])),
-                  ("scheduler", lambda: os.sched_setscheduler({bystander.pid}, 5, os.sched_param(0))),
-                  ("priority", lambda: os.setpriority(os.PRIO_PROCESS, {bystander.pid}, 19)),
-                  ("all", lambda: os.setpriority(os.PRIO_USER, 0, 19)),
-                  ("limit", lambda: resource.prlimit({bystander.pid}, resource.RLIMIT_NOFILE, (0, 0)))):
-    try:
-        act()
-        done.append(name)
-    except OSError: pass
-print(done)
-"""
-    before = os.getpriority(os.PRIO_PROCESS, bystander.pid), os.sched_getaffinity(bystander.pid)
-    assert attack(watched, code).stdout == "[]\n"
-    assert (os.getpriority(os.PRIO_PROCESS, bystander.pid), os.sched_getaffinity(bystander.pid)) == before
+    pid = bystander.pid
+    before = os.getpriority(os.PRIO_PROCESS, pid), os.sched_getaffinity(pid)
+    assert (
+        gained(
+            watched,
+            f"os.sched_setaffinity({pid}, [0])",
+            f"os.sched_setscheduler({pid}, 5, os.sched_param(0))",
+            f"os.setpriority(os.PRIO_PROCESS, {pid}, 19)",
+            "os.setpriority(os.PRIO_USER, 0, 19)",
+            f"resource.prlimit({pid}, resource.RLIMIT_NOFILE, (0, 0))",
+        )
+        == []
+    )
+    assert (os.getpriority(os.PRIO_PROCESS, pid), os.sched_getaffinity(pid)) == before
 
 
 def test_services_that_listen_in_the_file_system(watched: Watched) -> None:

@@ -5,14 +5,11 @@ The attacks of ``test_python_attacks_*`` are tried in containers as well. ``scri
 
 from __future__ import annotations
 
-import asyncio
-import os
 import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from python_levels import docker, image, pool_of, until
@@ -64,18 +61,6 @@ def gone(name: str) -> bool:
     return until(lambda: not names(f"name={name}"))
 
 
-def test_calls_and_sessions(running: Pool) -> None:
-    """As in the other levels."""
-    outcome = running.run("print(input())\n6 * 7", stdin="in", value=True)
-    assert (outcome.sandbox, outcome.status, outcome.stdout, outcome.value) == ("docker", "ok", "in\n", "42")
-    session = running.session(Limits(wall_s=5))
-    session.run("x = 1\nopen('kept', 'w').write('y')")
-    assert session.run("x, open('kept').read()").value == "(1, 'y')"
-    session.close()
-    assert running.chosen is not None
-    assert running.chosen.launch.note == f"image {image()}"
-
-
 def test_code_yields_the_processor_to_the_watch_over_its_limits() -> None:
     """Many processes of one call would else hold up the only process that looks at their memory."""
     assert pool_of("docker").run("import os; os.getpriority(os.PRIO_PROCESS, 0)", value=True).value == "19"
@@ -100,23 +85,6 @@ def test_the_environment_is_empty(running: Pool) -> None:
     """What the image, or the client's configuration, sets is not there."""
     outcome = running.run("import os\nprint({'HOSTNAME', 'container'} & {*os.environ}, 'PYTHONHASHSEED' in os.environ)")
     assert outcome.stdout == "set() True\n"
-
-
-def test_many_calls_at_once() -> None:
-    """In two containers, each call answered, and no container left."""
-    pool = pool_of("docker", workers=2)
-    started: list[str] = []
-
-    async def work() -> list[str]:
-        outcomes = await asyncio.gather(*(pool.arun(f"print({number})") for number in range(200)))
-        return [outcome.stdout for outcome in outcomes]
-
-    try:
-        assert asyncio.run(work()) == [f"{number}\n" for number in range(200)]
-        started += [str(cell.launch.container) for cell in pool.cells]
-    finally:
-        pool.close()
-    assert not [name for name in started if names(f"name={name}")]
 
 
 def test_no_container_after_close(running: Pool) -> None:
@@ -207,20 +175,6 @@ def test_an_image_that_is_missing(running: Pool) -> None:
     with pytest.raises(MissingRequirementError) as caught:
         Pool("docker", num_workers=1, image="gem/not-there:1").run("")
     assert "the image 'gem/not-there:1' is not there: 'docker pull gem/not-there:1'" in str(caught.value)
-
-
-def test_an_image_without_python(running: Pool, tmp_path: Path) -> None:
-    """Is told with what the engine said."""
-    (tmp_path / "empty").touch()
-    name = f"gem-empty:{os.getpid()}"
-    packed = subprocess.run(["tar", "-C", str(tmp_path), "-c", "."], capture_output=True, check=True).stdout
-    subprocess.run(["docker", "import", "-", name], input=packed, capture_output=True, check=True)
-    try:
-        with pytest.raises(MissingRequirementError, match=r"the sandbox did not start: .*no such file") as caught:
-            Pool("docker", num_workers=1, image=name).run("")
-        assert "/bin/sh" in str(caught.value)
-    finally:
-        docker("rmi", name)
 
 
 def test_an_engine_that_does_not_answer(running: Pool, monkeypatch: pytest.MonkeyPatch) -> None:

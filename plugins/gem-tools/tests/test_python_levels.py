@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
+import itertools
 import os
 import stat
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,28 +12,10 @@ from python_levels import why_not
 
 from gem_core.docs import page_url
 from gem_core.errors import MissingRequirementError
-from gem_tools.python import Limits, Pool, levels, starting
+from gem_tools.python import Pool, levels, starting
 from gem_tools.python import docker as docker_words
 from gem_tools.python.inside import syscalls
 from gem_tools.python.status import status
-
-STAND_IN = """#!{python}
-# Stands in for Docker's client: it notes what it is told, and runs the command on this machine.
-import json, os, sys
-arguments = sys.argv[1:]
-with open({record!r}, "a") as stream:
-    stream.write(json.dumps(arguments) + "\\n")
-if arguments[:2] == ["image", "inspect"]:
-    sys.exit(0 if {image!r} in arguments else "Error: No such image: " + arguments[-1])
-if arguments[0] != "run":
-    sys.exit(0)
-place = arguments.index({image!r})
-words = arguments[place + 4:]
-program = words.index("python3")
-environment = dict(word.split("=", 1) for word in words[:program])
-os.chdir("/")
-os.execve({python!r}, [{python!r}, *words[program + 1:]], environment)
-"""
 
 
 def install(folder: Path, name: str, text: str) -> None:
@@ -122,72 +102,14 @@ def test_a_bubblewrap_that_fails_is_passed_over(monkeypatch: pytest.MonkeyPatch,
         pool.close()
 
 
-@pytest.mark.thorough
-def test_the_doctor_shows_the_level() -> None:
-    """As the tool's status."""
-    done = subprocess.run(
-        [sys.executable, "-m", "gem_core", "doctor", "--json"], capture_output=True, text=True, timeout=120
-    )
-    assert '"sandbox"' in done.stdout
-    assert any(level in done.stdout for level in levels.LEVELS)
-
-
-# Docker, by a stand-in for its client that runs the same keeper without a container.
-
-
-@pytest.fixture
-def docker(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """A stand-in on the PATH; returns the file where it notes what it was told."""
-    record = tmp_path / "record"
-    text = STAND_IN.format(python=sys.executable, record=str(record), image="local/python:1")
-    install(tmp_path, "docker", text)
-    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    monkeypatch.setenv("DOCKER_HOST", "ssh://stand-in")  # which the core's probe does not ask
-    return record
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="the stand-in gives root's rights only to root")
-def test_docker_runs_the_same_keeper_in_a_container(docker: Path) -> None:
-    """Closed off by the options that it is started with; calls, sessions and limits as elsewhere."""
-    pool = Pool("docker", num_workers=1, image="local/python:1")
-    try:
-        outcome = pool.run("print(input())\n6 * 7", stdin="in", value=True)
-        assert (outcome.sandbox, outcome.status, outcome.stdout, outcome.value) == ("docker", "ok", "in\n", "42")
-        session = pool.session(Limits(wall_s=5))
-        session.run("x = 1")
-        assert session.run("x").value == "1"
-        session.close()
-        assert pool.run("while True: pass", limits=Limits(wall_s=0.3)).status == "timeout"
-        network = pool.run("import socket\nsocket.socket()")
-        assert (network.status, network.error) == ("error", "PermissionError: [Errno 1] Operation not permitted")
-        processes = [cell.process for cell in pool.cells]
-    finally:
-        pool.close()
-    assert all(process is not None and process.poll() is not None for process in processes)
-    runs = [json.loads(line) for line in docker.read_text("utf-8").splitlines()]
-    runs = [run for run in runs if run[0] == "run"]
-    assert len(runs) == 1
-    for run in runs:
-        for words in (
-            ["--rm"],
-            ["--network", "none"],
-            ["--read-only"],
-            ["--cap-drop", "ALL"],
-            ["--security-opt", "no-new-privileges"],
-            ["--pull", "never"],
-            ["--memory", "4096m"],
-        ):
-            place = run.index(words[0])
-            assert run[place : place + len(words)] == words
-        added = [run[place + 1] for place, word in enumerate(run) if word == "--cap-add"]
-        assert added == [*docker_words.POWERS]
-
-
-def test_docker_without_the_image_says_how_to_get_it(docker: Path) -> None:
-    """It is never pulled by itself."""
-    with pytest.raises(MissingRequirementError) as caught:
-        Pool("docker", num_workers=1, image="other:1").run("")
-    assert "the image 'other:1' is not there: 'docker pull other:1'" in str(caught.value)
+def test_a_container_is_closed_off_by_the_options_that_it_is_started_with() -> None:
+    """The image is never pulled, nothing is reached, and few rights are left."""
+    words = docker_words.run_words("name", "image:1", {}, ["python3"], folder_mb=1, folder_files=1)
+    pairs = [*itertools.pairwise(words)]
+    assert {"--rm", "--read-only"} <= set(words)
+    assert {("--network", "none"), ("--cap-drop", "ALL"), ("--pull", "never"), ("--memory", "4096m")} <= {*pairs}
+    assert ("--security-opt", "no-new-privileges") in pairs
+    assert [right for word, right in pairs if word == "--cap-add"] == [*docker_words.POWERS]
 
 
 # The filter of system calls.

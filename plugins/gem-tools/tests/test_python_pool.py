@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 from python_levels import ALL, folders, pool_of, processes, until
 
-from gem_core.errors import BridgeError
 from gem_tools.python import Limits, Outcome, Pool, SandboxError, shared_pool
 
 
@@ -108,13 +107,6 @@ def test_numpy_works_preloaded_or_not(pool: Pool) -> None:
 
 
 @pytest.mark.thorough
-def test_the_order_of_sets_is_the_same_in_each_call(pool: Pool) -> None:
-    """The same code gives the same output."""
-    code = "print({f'word{i}' for i in range(50)})"
-    assert len({pool.run(code).stdout for _ in range(4)}) == 1
-
-
-@pytest.mark.thorough
 def test_a_thousand_calls_at_once(pool: Pool) -> None:
     """All are answered, each with its own output, in the order of their coming."""
     finished: list[int] = []
@@ -136,24 +128,6 @@ def test_a_thousand_calls_at_once(pool: Pool) -> None:
         latest = max(latest, number)
         most_waiting = max(most_waiting, latest + 1 - done)
     assert most_waiting <= 20
-
-
-@pytest.mark.thorough
-def test_from_many_threads_and_from_the_loops_of_others(pool: Pool) -> None:
-    """Plain code blocks only its own thread."""
-    with ThreadPoolExecutor(16) as threads:
-        assert list(threads.map(lambda n: pool.run(f"{n}", value=True).value, range(64))) == [str(n) for n in range(64)]
-
-    async def wrong() -> None:
-        from gem_core.background import on_library_loop
-
-        async def inner() -> None:
-            pool.run("1")
-
-        await on_library_loop(inner())
-
-    with pytest.raises(BridgeError):
-        asyncio.run(wrong())
 
 
 def test_a_cancelled_call_is_ended(pool: Pool) -> None:

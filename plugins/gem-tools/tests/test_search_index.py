@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -161,21 +160,6 @@ def test_several_processes_may_build_at_once(corpus: Path, tmp_path: Path) -> No
     running = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(4)]
     assert [process.communicate(timeout=120)[0] for process in running] == ["['r']\n"] * 4
     assert len([path for path in (tmp_path / "cache").iterdir() if path.is_dir()]) == 1
-
-
-def test_many_threads_search_one_index(corpus: Path, tmp_path: Path) -> None:
-    """And open it at once."""
-    results: list[list[str]] = []
-
-    def work() -> None:
-        results.extend(found(open_index(corpus, tmp_path / "cache"), "switzerland") for _ in range(50))
-
-    threads = [threading.Thread(target=work) for _ in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert results == [["m"]] * 400
 
 
 def test_a_cache_folder_that_cannot_be_used_is_refused(corpus: Path, tmp_path: Path) -> None:

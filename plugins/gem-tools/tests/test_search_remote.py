@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 from search_server import Reply, Server, serving
 
 from gem_core.background import run_sync
-from gem_core.data import DatasetEnv
 from gem_core.errors import ArgumentError, MissingRequirementError
 from gem_core.testing import check_tool
-from gem_core.tools import ToolEnv, ToolResult
+from gem_core.tools import ToolResult
 from gem_tools.search import remote
 from gem_tools.search.passages import Passage
 from gem_tools.search.remote import SearchFault, read_retrieved, read_serper
@@ -203,21 +202,6 @@ def test_a_hung_server_is_given_up() -> None:
             event.set()
 
         run_sync(let_go(server.held))
-
-
-def test_many_environments_search_at_once(server: Server) -> None:
-    """Over the connections of one process."""
-    envs = []
-    for _ in range(20):
-        envs.append(ToolEnv(DatasetEnv([{"question": "?", "answer": "!"}]), [("search", {"url": server.url})]))
-        envs[-1].reset(seed=1)
-
-    async def many() -> list[Any]:
-        return await asyncio.gather(*(env.step_async("<search>same</search>") for env in envs))
-
-    assert all(SHOWN in str(result[0]) for result in asyncio.run(many()))
-    for env in envs:
-        env.close()
 
 
 # Keys.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import concurrent.futures
 import json
 import os
 import signal
@@ -97,14 +96,6 @@ def test_hostile_queries_are_answered(url: str) -> None:
     status, answer = ask(url, {"queries": queries, "return_scores": True})
     assert status == 200
     assert [len(hits) for hits in answer["result"]] == [1, 0, 0, 1, 1]
-
-
-def test_many_ask_at_once(url: str) -> None:
-    """And each gets its own answer."""
-    with concurrent.futures.ThreadPoolExecutor(16) as pool:
-        words = ["loire", "jura"] * 100
-        answers = list(pool.map(lambda word: ask(url, {"queries": [word]})[1]["result"][0][0]["id"], words))
-    assert answers == ["r", "m"] * 100
 
 
 def test_every_error_is_json(url: str) -> None:
