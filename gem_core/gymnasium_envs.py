@@ -14,7 +14,7 @@ Environments of several agents are left out: Gymnasium's interface is for one.
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import gymnasium
 from gymnasium.envs.registration import EnvSpec as GymnasiumSpec
@@ -51,11 +51,6 @@ class GymnasiumEnv(Wrapper):
     def _np_random(self) -> Any:  # type: ignore[override]  # a property of the task as well
         """The task's generator, which Gymnasium's ``check_env`` looks at."""
         return self.env.unwrapped._np_random
-
-    @property
-    def env_id(self) -> str | None:
-        """The id in GEM."""
-        return cast("str | None", self.env.get_wrapper_attr("env_id"))
 
 
 def gymnasium_id(env_id: str) -> str:

@@ -16,7 +16,6 @@ _NAME = re.compile(r"[\w.-]+(:[A-Za-z_][\w.]*)?", re.ASCII)
 OPTION = re.compile(r"\s*(\w+)\s*=(.*)", re.ASCII | re.DOTALL)
 """A name, and a value that ``option_value`` reads."""
 
-_TOOL_FORM = "'python,search:top_k=2' or JSON as in '[[\"search\", {\"top_k\": 2}]]'"
 _FORM = "'concat:max_turns=2,episode_stats' or JSON as in '[[\"concat\", {\"max_turns\": 2}]]'"
 
 
@@ -34,7 +33,7 @@ def parsed_choices(text: str, option: str) -> list[tuple[str, dict[str, Any]]]:
         ArgumentError: It is neither a list of names nor JSON.
     """
     kind = option.lstrip("-")
-    form = f"write {_TOOL_FORM if kind == 'tools' else _FORM}"
+    form = f"write {_FORM}"
     if text.lstrip().startswith(("[", "{")):
         try:
             content = json.loads(text)

@@ -43,15 +43,13 @@ def find(requirement: str, *, closely: bool = False) -> RequirementStatus:
     word, _, argument = requirement.partition(":")
     match word:
         case "key":
-            is_set, advice = os.environ.get(argument), f"it needs a key: set the environment variable {argument}"
-            return RequirementStatus("met", "is set") if is_set else RequirementStatus("unmet", "is not set", advice)
+            advice = f"it needs a key: set the environment variable {argument}"
+            return _status(bool(os.environ.get(argument)), "is set", "is not set", advice)
         case "package":
             return _package(argument)
         case "command":
-            if shutil.which(argument) is not None:
-                return RequirementStatus("met", "is on the PATH")
             advice = f"it needs the command {argument!r} on the PATH: install it"
-            return RequirementStatus("unmet", "is not on the PATH", advice)
+            return _status(shutil.which(argument) is not None, "is on the PATH", "is not on the PATH", advice)
         case "argument":
             advice = f"it needs an argument: make(…, {argument}=…), or --set {argument}=… of gem run"
             return RequirementStatus("unmet", "is given to make", advice)
@@ -103,11 +101,15 @@ def _package(name: str) -> RequirementStatus:
     distribution, _, extra = name.removesuffix("]").partition("[")
     wanted = extras_of(distribution).get(extra, []) if extra else [name]
     missing = [each for each in wanted if not _is_installed(each)]
-    if wanted and not missing:
-        return RequirementStatus("met", f"has {', '.join(f'{each} {installed_version(each)}' for each in wanted)}")
+    found = f"has {', '.join(f'{each} {installed_version(each)}' for each in wanted)}"
     what = f"an extra of {distribution}" if extra else f"the package {name}"
     command = f'pip install "{name}"' if extra else f"pip install {name}"
-    return RequirementStatus("unmet", f"lacks {', '.join(missing) or name}", f"it needs {what}: '{command}'")
+    lacking = f"lacks {', '.join(missing) or name}"
+    return _status(bool(wanted) and not missing, found, lacking, f"it needs {what}: '{command}'")
+
+
+def _status(is_met: bool, found: str, lacking: str, advice: str) -> RequirementStatus:
+    return RequirementStatus("met", found) if is_met else RequirementStatus("unmet", lacking, advice)
 
 
 def _is_installed(name: str) -> bool:
