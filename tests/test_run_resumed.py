@@ -95,6 +95,9 @@ def test_another_run_is_refused_and_the_file_left_as_it_is(run_gem: RunGem) -> N
         refused = run_gem("run", *arguments, "-a", "failing:act", "--resume", "a.jsonl")
         assert (refused.code, refused.out, refused.err.count("\n")) == (2, "", 1)
         assert Path("a.jsonl").read_bytes() == content
+    Path("empty.jsonl").touch()
+    run_gem("run", COUNTDOWN, "-n", "1", "-s", "7", "--resume", "empty.jsonl")
+    assert [episode.run_seed for episode in by_key("empty.jsonl")] == [7]
 
 
 def test_an_exception_in_an_environment_names_file_and_line(run_gem: RunGem) -> None:

@@ -107,7 +107,7 @@ def test_run_with_tools_records_them(run_gem: RunGem, agent: str) -> None:
 
 def test_a_limit_of_uses_is_a_number_or_none(run_gem: RunGem) -> None:
     """Anything else is a wrong argument; so is an option that a wrapper does not have."""
-    assert "'-1' is neither" in run_gem("run", COUNTDOWN, "--tools", "box", "--max-tool-uses", "-1").err
+    assert "-1 is not in the range" in run_gem("run", COUNTDOWN, "--tools", "box", "--max-tool-uses", "-1").err
     assert "'most'" in run_gem("run", COUNTDOWN, "-w", "concat:most=2").err
 
 

@@ -36,7 +36,7 @@ class ResumedRun:
         writer: Writes the file, which is locked from now on.
 
     Raises:
-        ArgumentError: It does not say from which seed its run was started, or holds episodes of several runs.
+        ArgumentError: It does not say from which seed its run was started.
         EpisodeFileError: It cannot be read.
     """
 
@@ -55,8 +55,6 @@ class ResumedRun:
                 f"--resume: {self.path} does not say from which seed its run was started, since an earlier version "
                 "wrote it"
             )
-        self.seed = self.done.run_seed(None)
-        """Seed of the run; None for a file that is empty."""
 
     def check(self, players: Players, envs: Envs, wrappers: Wrappers) -> None:
         """Raise an error if the kept episodes were run in another way than the new ones will be.

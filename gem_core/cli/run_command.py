@@ -171,7 +171,7 @@ def command(
     resumed = None if resume is None else _resumed_run(ctx, resume)
     if resumed is not None:
         resumed.check(players, envs, stack)
-        seed = resumed.seed
+        seed = resumed.done.run_seed(seed)
     for agent in players.agents.values():
         prepare_agent(agent)  # it says at the start what would fail later
         ctx.call_on_close(partial(close_agent, agent))
@@ -222,10 +222,7 @@ def _resumed_run(ctx: click.Context, path: str) -> ResumedRun:
     if not Path(path).exists():
         raise ArgumentError(f"--resume: there is no file {path}; a run that begins takes --out")
     # It is locked before it is read, so that nobody adds to it meanwhile.
-    resumed = ResumedRun(ctx.with_resource(EpisodeWriter(path, append=True)))
-    if ctx.params["seed"] not in (None, resumed.seed) and resumed.done:
-        raise ArgumentError(f"--resume: {path} is a run with the seed {resumed.seed}; leave --seed out")
-    return resumed
+    return ResumedRun(ctx.with_resource(EpisodeWriter(path, append=True)))
 
 
 def _report(summary: RunSummary, seconds: float, seed: int, path: Path, already: int | None, *, as_json: bool) -> None:

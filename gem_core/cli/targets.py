@@ -91,8 +91,6 @@ def _module_of(path: Path) -> ModuleType:
 def _imported(name: str, owner: str) -> ModuleType:
     try:
         return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        raise ArgumentError(f"{owner}: there is no module {error.name!r}; correct the name, or install it") from error
     except (Exception, SystemExit) as error:  # third-party code may raise anything while it is imported
         raise ArgumentError(f"{owner}: importing {name!r} failed: {type(error).__name__}: {error}") from error
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -24,19 +23,17 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 NO_LIMIT = "none"
 
 
-def _uses(ctx: click.Context, param: click.Parameter, value: str | None) -> int | str | None:
-    """Return a limit as it was given: a whole number from 0 up, or the word for none."""
-    if value is None or value == NO_LIMIT:
-        return value
-    if re.fullmatch(r"\d{1,9}", value, re.ASCII):
-        return int(value)
-    raise click.BadParameter(f"{value!r} is neither a whole number from 0 up nor {NO_LIMIT!r}", ctx, param)
-
-
 class AtLeast(click.IntRange):
     """A whole number from ``min`` up; click would call it an integer range."""
 
     name = "integer"
+
+
+class _Limit(AtLeast):
+    """A whole number, or the word for none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return value if value == NO_LIMIT else super().convert(value, param, ctx)
 
 
 def stack_options(view: str) -> Callable[[Command], Command]:
@@ -55,7 +52,7 @@ def stack_options(view: str) -> Callable[[Command], Command]:
         click.option("-t", "--max-turns", type=AtLeast(min=1), help="Cut off an episode after this many turns."),
         click.option("-w", "--wrappers", multiple=True, metavar="NAMES", type=WRAPPERS, help=wrappers_help),
         click.option("--tools", multiple=True, metavar="NAMES", type=TOOLS, help=tools_help),
-        click.option("--max-tool-uses", callback=_uses, metavar="INTEGER", help=uses_help),
+        click.option("--max-tool-uses", type=_Limit(min=0), help=uses_help),
     ]
 
     def add(command: Command) -> Command:
