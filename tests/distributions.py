@@ -14,7 +14,7 @@ import gem_core
 
 FIXTURES = Path(__file__).parent / "plugin_fixtures"
 
-_HOOK = "from gem_core import EnvSpec, ToolSpec, hookimpl\n@hookimpl\ndef gem_register_envs():\n    "
+_HOOK = "from gem_core import EnvSpec, hookimpl\n@hookimpl\ndef gem_register_envs():\n    "
 _NAMED = _HOOK + "return [EnvSpec(id=env_id, entry_point='gem_fine_env:FineEnv') for env_id in {}]"
 _ONE = _HOOK + "return [EnvSpec(id='{0}:One-v0', entry_point='gem_{0}:one', summary='Nothing to do.', kwargs={1})]\n"
 
@@ -34,14 +34,11 @@ ONE_MODULE = {
     # A hook fails, or returns something else.
     "hook_raises": _NAMED.format(["raises:One-v0"])
     + "\n@hookimpl\ndef gem_register_tools():\n    raise ValueError('the first line\\nand the second')",
-    "hook_exits": _HOOK + "raise SystemExit(4)",
     "wrong_type": _HOOK + "return [{'id': 'wrong:Type-v0'}]",
-    "wrong_record": _HOOK + "return [ToolSpec(name='hammer', entry_point='gem_fine_env:Hammer')]",
     "returns_text": _HOOK + "return 'text:One-v0'",
     "returns_none": _HOOK + "pass",
     "generator_fails": _HOOK
     + "yield EnvSpec(id='midway:One-v0', entry_point='gem_fine_env:FineEnv')\n    raise RuntimeError('no second one')",
-    "invalid_record": _NAMED.format(["midway:Fine-v0", "no colon"]),
     # It loads, and the rest is wrong.
     "heavy_neighbour": _HOOK + "return [EnvSpec(id='heavy:One-v0', entry_point='gem_heavy_missing:HeavyEnv')]",
     "heavy_import": "import numpy as np\n" + _ONE.format("heavy_import", {}) + "def one(): return np.zeros(1)",

@@ -73,6 +73,9 @@ def test_reverse_string_is_solved(env: Any) -> None:
     observation, _ = env.reset()
     assert env.gt_str in observation
     assert env.step(f"It is \\boxed{{{env.gt_str[::-1]}}}.")[1:4] == (1.0, True, True)
+    longer: Any = make("custom:ReverseString", str_len=9)
+    longer.reset()
+    assert len(longer.gt_str) == 9
 
 
 @pytest.mark.parametrize("action", ["", "\\boxed{}", "\\boxed{no}", "abc", "\\boxed{"])
@@ -80,11 +83,3 @@ def test_reverse_string_wrong_answer_gets_nothing(env: Any, action: str) -> None
     """A wrong or missing answer ends the episode without a reward."""
     env.reset(seed=3)
     assert env.step(action)[:4] == (TERMINAL_STATE, 0.0, True, True)
-
-
-@pytest.mark.usefixtures("env")
-def test_reverse_string_takes_its_keyword() -> None:
-    """The length is an argument of make."""
-    env: Any = make("custom:ReverseString", str_len=9)
-    env.reset()
-    assert len(env.gt_str) == 9

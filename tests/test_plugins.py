@@ -60,13 +60,10 @@ BROKEN = {
     "unmarked": ("hooks", "RegistrationError: 'gem_register_envs'", "'@gem_core.hookimpl'"),
     "extra_argument": ("hooks", "PluginValidationError: ", "'gem-extra-argument:extra_argument'"),
     "hook_raises": ("call", "ValueError: the first line and the second", ""),
-    "hook_exits": ("call", "SystemExit: 4", ""),
     "wrong_type": ("call", "RegistrationError: gem_register_envs", "EnvSpec records, not {'id'"),
-    "wrong_record": ("call", "RegistrationError: gem_register_envs", "EnvSpec records, not ToolSpec("),
     "returns_text": ("call", "RegistrationError: gem_register_envs", "not 'text:One-v0'"),
     "returns_none": ("call", "RegistrationError: gem_register_envs", "not None"),
     "generator_fails": ("call", "RuntimeError: no second one", ""),
-    "invalid_record": ("call", "RegistrationError: ", "'no colon'"),
 }
 
 
@@ -98,7 +95,7 @@ def test_the_others_work(all_broken: dict[str, Any]) -> None:
     assert all_broken["plugins"]["gem-fine"]["records"] == expected
     assert all_broken["made"]["fine:One-v0"] == "Say anything."
     assert all_broken["heavy"] == []
-    assert not {"raises:One-v0", "midway:One-v0", "midway:Fine-v0"} & set(all_broken["envs"])
+    assert not {"raises:One-v0", "midway:One-v0"} & set(all_broken["envs"])
 
 
 def test_an_id_of_a_failed_plugin_says_the_cause(sites: dict[str, Path]) -> None:
