@@ -1,4 +1,4 @@
-"""``gem tau heatmap``: how often each assistant succeeds with each user, as a table and as a picture."""
+"""``gem tau heatmap``: how often each assistant succeeds with each user, as a table and as JSON."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gem_core.cli import Column, print_table
 from gem_core.errors import ArgumentError
 from gem_core.records import EnvSummary
 from gem_tau import scripted_assistants, scripted_users
-from gem_tau.heatmap import heat_map, percent, plain_rows, svg
+from gem_tau.heatmap import heat_map, percent, plain_rows
 
 _USERS = ",".join(f"tau-user:{name}" for name in scripted_users.CHARACTERS)
 _ASSISTANTS = ",".join(f"tau-assistant:{name}" for name in scripted_assistants.CHARACTERS)
@@ -22,7 +22,7 @@ _ASSISTANTS = ",".join(f"tau-assistant:{name}" for name in scripted_assistants.C
     epilog="""\b
 Examples:
   gem tau heatmap
-  gem tau heatmap --out heatmap.svg
+  gem tau heatmap --out heatmap.json
   gem tau heatmap --ids tau:Retail-test --folder tau_retail --users openai:A,openai:B --assistants openai:A,openai:B
 """,
 )
@@ -42,7 +42,7 @@ Examples:
 )
 @click.option("-s", "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of every cell.")
 @click.option("-k", "--num-envs", type=click.IntRange(min=1), help="Episodes at once.")
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Write the map too, as .svg or .json.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Write the cells too, as JSON.")
 @click.pass_context
 def heatmap(
     ctx: click.Context,
@@ -61,8 +61,6 @@ def heatmap(
     number of episodes. Episodes with an error are in no rate, and make the exit code 1. An agent is named as for gem
     run; openai:MODEL takes the address of its server from OPENAI_BASE_URL.
     """
-    if out is not None and out.suffix not in (".svg", ".json"):
-        raise ArgumentError(f"--out takes a file that ends in .svg or .json, not {str(out)!r}")
     rows = heat_map(
         _names(ids, "--ids"),
         _names(users, "--users"),
@@ -74,8 +72,7 @@ def heatmap(
     )
     _print(rows)
     if out is not None:
-        written = svg(rows) if out.suffix == ".svg" else json.dumps(plain_rows(rows), indent=1) + "\n"
-        out.write_text(written, encoding="utf-8")
+        out.write_text(json.dumps(plain_rows(rows), indent=1) + "\n", encoding="utf-8")
         click.echo(f"{out} written")
     if any(cell.errors for row in rows for cell in row):
         ctx.exit(1)

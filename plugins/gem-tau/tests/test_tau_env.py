@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
+from tau_folders import write_tau
 
 import gem_core as gem
 from gem_core import Response
@@ -17,8 +17,13 @@ from gem_core.testing import check_env, check_plugin
 from gem_tau.env import TauEnv
 from gem_tau.prompts import GREETING, STOP
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
 CANCEL = ("cancel_order", {"order_id": "#1042", "reason": "ordered by mistake"})
 """The reference action of the first task of the sample."""
+LOOK = ("get_order", {"order_id": "#1042"})
+OTHER = ("change_address", {"order_id": "#1024", "address": "x"})
 
 
 def written(name: str, arguments: dict[str, Any]) -> str:
@@ -32,38 +37,58 @@ def native(*calls: tuple[str, dict[str, Any]], text: str = "") -> Response:
     return Response(text, tool_calls=[{"id": chr(97 + at), "function": each} for at, each in enumerate(functions)])
 
 
-def begun(**options: Any) -> Any:
-    """Return the sample in its first task, after the user's first words."""
-    env = gem.make("tau:Sample", **options)
-    env.reset(seed=0, options={"index": 0})
-    env.step({"user": "I want to cancel order #1042."})
-    return env
+class Talk:
+    """The sample in one of its tasks, after the user's first words; its methods return what a step gives.
+
+    Args:
+        index: The task.
+        env: Another environment than the sample as it is registered.
+    """
+
+    def __init__(self, index: int = 0, env: Any = None, **options: Any) -> None:
+        self.env = env or gem.make("tau:Sample", **options)
+        self.env.reset(seed=0, options={"index": index})
+        self.user("I want to cancel order #1042.")
+
+    def user(self, words: str) -> Any:
+        """Have the user say something."""
+        return self.env.step({"user": words})
+
+    def assistant(self, words: str) -> Any:
+        """Have the assistant say or call something."""
+        return self.env.step({"assistant": words})
+
+    def end(self, words: str = "It is done.", last_words: str = STOP) -> Any:
+        """Have the assistant say something, and the user stop."""
+        self.assistant(words)
+        return self.user(last_words)
 
 
 def test_user_opens_and_the_policy_and_tools_come_first() -> None:
-    """The user answers a greeting; the assistant's first info has the policy and the schemas, the user's its part."""
+    """The user answers a greeting, whose stop ends nothing; the assistant's first info has the policy and schemas."""
     env = gem.make("tau:Sample")
     observations, infos = env.reset(seed=0, options={"index": 0})
     assert observations == {"user": GREETING}
     assert "You are Ines Castro." in infos["user"]["system"]
     assert infos["user"]["task_id"] == "sample-0"
-    observations, rewards, *_, infos = env.step({"user": "<think>They are slow.</think>Hi!"})
-    assert observations == {"assistant": "Hi!"}
-    assert rewards == {"assistant": 0.0}
+    observations, rewards, *_, infos = env.step({"user": f"<think>They are slow.</think>{STOP}"})
+    assert (observations, rewards) == ({"assistant": STOP}, {"assistant": 0.0})
     assert infos["assistant"]["system"].startswith("# Policy of Spoke & Bell")
     assert [tool["function"]["name"] for tool in infos["assistant"]["tools"]][:2] == ["cancel_order", "change_address"]
+    drawn = [env.reset(seed=seed)[1]["user"]["task_id"] for seed in range(20)]
+    assert drawn == [env.reset(seed=seed)[1]["user"]["task_id"] for seed in range(20)]
+    assert len(set(drawn)) > 4
 
 
 def test_calls_are_answered_and_words_are_said() -> None:
     """After a call the assistant acts again; what it says without one is shown to the user, without thinking."""
-    env = begun()
-    observations, _, _, _, infos = env.step({"assistant": "Wait. " + written("get_order", {"order_id": "#1042"})})
+    talk = Talk()
+    observations, _, _, _, infos = talk.assistant("Wait. " + written(*LOOK))
     assert observations["assistant"].startswith('Output of get_order:\n{"order_id": "#1042", "customer_id": "ines"')
-    assert infos["assistant"]["tool"]["arguments"] == {"order_id": "#1042"}
+    assert infos["assistant"]["tool"] == {"name": LOOK[0], "arguments": LOOK[1], "failed": False, "error": None}
     assert infos["assistant"]["parsed_action"].endswith("</tool_call>")
-    observations, *_ = env.step({"assistant": "<think>It is hers.</think>Shall I cancel it?"})
-    assert observations == {"user": "Shall I cancel it?"}
-    assert env.step({"user": ""})[0] == {"assistant": "(nothing was said)"}
+    assert talk.assistant("<think>It is hers.</think>Shall I cancel it?")[0] == {"user": "Shall I cancel it?"}
+    assert talk.user("")[0] == {"assistant": "(nothing was said)"}
 
 
 @pytest.mark.parametrize(
@@ -72,21 +97,17 @@ def test_calls_are_answered_and_words_are_said() -> None:
         ([CANCEL], STOP, 1.0),
         ([CANCEL], f"Thank you. {STOP}", 1.0),
         ([], STOP, 0.0),
-        ([CANCEL, ("change_address", {"order_id": "#1024", "address": "x"})], STOP, 0.0),
+        ([CANCEL, OTHER], STOP, 0.0),
     ],
 )
 def test_database_decides_the_reward(calls: list[Any], last_words: str, reward: float) -> None:
     """The user's stop word ends the episode, and the assistant is rewarded for the database that it leaves."""
-    env = begun()
+    talk = Talk()
     for call in calls:
-        env.step({"assistant": written(*call)})
-    env.step({"assistant": "It is done."})
-    observations, rewards, terminations, truncations, infos = env.step({"user": last_words})
+        talk.assistant(written(*call))
+    observations, rewards, terminations, truncations, infos = talk.end(last_words=last_words)
     assert (observations, rewards) == ({}, {"assistant": reward, "user": 0.0})
-    assert (terminations, truncations) == (
-        {"assistant": True, "user": True},
-        {"assistant": False, "user": False},
-    )
+    assert (terminations, any(truncations.values())) == ({"assistant": True, "user": True}, False)
     assert infos["assistant"]["correct"] == bool(reward)
     assert infos["assistant"]["tau"] == {"DB": reward, "COMMUNICATE": 1.0}
     assert "correct" not in infos["user"]
@@ -97,27 +118,19 @@ def test_database_decides_the_reward(calls: list[Any], last_words: str, reward: 
 )
 def test_outputs_must_be_said(words: str, reward: float) -> None:
     """What a task asks to tell counts where it was said to the user, not where it was thought."""
-    env = gem.make("tau:Sample")
-    env.reset(seed=0, options={"index": 4})
-    env.step({"user": "What is the total?"})
-    env.step({"assistant": words})
-    _, rewards, *_, infos = env.step({"user": STOP})
+    _, rewards, *_, infos = Talk(4).end(words)
     assert rewards["assistant"] == reward
     assert infos["assistant"]["tau"] == {"DB": 1.0, "COMMUNICATE": reward}
 
 
 def test_first_native_call_alone_is_executed() -> None:
     """Results come back under the ids of the calls, and further calls of a response are not executed."""
-    env = begun()
-    other = ("change_address", {"order_id": "#1024", "address": "x"})
-    *_, infos = env.step({"assistant": native(CANCEL, other, text="Done!")})
-    first, second = infos["assistant"]["messages"]
-    assert (first["role"], first["tool_call_id"]) == ("tool", "a")
+    talk = Talk()
+    first, second = talk.assistant(native(CANCEL, OTHER, text="Done!"))[4]["assistant"]["messages"]
+    assert (first["role"], first["tool_call_id"], second["tool_call_id"]) == ("tool", "a", "b")
     assert json.loads(first["content"])["status"] == "cancelled"
-    assert second["tool_call_id"] == "b"
-    assert second["content"] == "Not executed: only the first call of a response is."
-    env.step({"assistant": "It is cancelled."})
-    assert env.step({"user": STOP})[1]["assistant"] == 1.0
+    assert second["content"].startswith("Not executed")
+    assert talk.end()[1]["assistant"] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -132,19 +145,17 @@ def test_first_native_call_alone_is_executed() -> None:
 )
 def test_failed_calls_are_told_to_the_assistant_alone(response: str, told: str) -> None:
     """It acts again, and the user hears nothing."""
-    env = begun()
-    observations, *_, infos = env.step({"assistant": response})
+    observations, *_, infos = Talk().assistant(response)
     assert observations["assistant"].startswith(told)
     assert infos["assistant"]["tool"]["failed"]
 
 
 def test_handing_over_ends_the_episode() -> None:
     """The tool that hands over ends it at once; the reward is computed all the same."""
-    env = begun()
-    env.step({"assistant": written(*CANCEL)})
-    observations, rewards, terminations, _, infos = env.step({"assistant": written("hand_over", {"summary": "x"})})
-    assert observations == {}
-    assert rewards == {"assistant": 1.0, "user": 0.0}
+    talk = Talk()
+    talk.assistant(written(*CANCEL))
+    observations, rewards, terminations, _, infos = talk.assistant(written("hand_over", {"summary": "x"}))
+    assert (observations, rewards) == ({}, {"assistant": 1.0, "user": 0.0})
     assert all(terminations.values())
     assert infos["assistant"]["final_obs"] == "Output of hand_over:\nA human takes over."
     assert infos["user"]["final_obs"] == gem.TERMINAL_STATE
@@ -152,19 +163,20 @@ def test_handing_over_ends_the_episode() -> None:
 
 def test_assistant_is_cut_off_after_its_last_step() -> None:
     """After ``max_assistant_steps`` both are truncated without a reward, but the user may still end the episode."""
-    call = {"assistant": written("get_order", {"order_id": "#1042"})}
-    env = begun(max_assistant_steps=2)
-    env.step(call)
-    _, rewards, terminations, truncations, infos = env.step(call)
+    talk = Talk(max_assistant_steps=2)
+    talk.assistant(written(*LOOK))
+    _, rewards, terminations, truncations, infos = talk.assistant(written(*LOOK))
     assert rewards == {"assistant": 0.0, "user": 0.0}
     assert (terminations["assistant"], truncations) == (False, {"assistant": True, "user": True})
     assert infos["assistant"]["correct"] is False
     for words, reward in (("And now?", 0.0), (STOP, 1.0)):
-        env = begun(max_assistant_steps=2)
-        env.step({"assistant": written(*CANCEL)})
-        env.step({"assistant": "Done."})
-        assert env.step({"user": words})[1]["assistant"] == reward
-        assert env.agents == []
+        talk = Talk(max_assistant_steps=2)
+        talk.assistant(written(*CANCEL))
+        assert talk.end(last_words=words)[1]["assistant"] == reward
+        assert talk.env.agents == []
+    for steps in (0, "ten", True):
+        with pytest.raises(ArgumentError, match="max_assistant_steps"):
+            TauEnv("gem_tau:sample", max_assistant_steps=steps)
 
 
 def test_user_is_never_judged() -> None:
@@ -172,13 +184,6 @@ def test_user_is_never_judged() -> None:
     env = gem.make("tau:Sample", max_assistant_steps=1)
     (joint,) = gem.rollout(env, agents=lambda observation: "Yes?", episodes=1, seed=0)
     assert {episode.seat: episode.success for episode in joint} == {"assistant": False, "user": None}
-
-
-@pytest.mark.parametrize("steps", [0, "ten", True])
-def test_limit_of_steps_is_a_number(steps: Any) -> None:
-    """It is refused when the environment is made, not in the middle of an episode."""
-    with pytest.raises(ArgumentError, match=r"^max_assistant_steps must be a positive whole number, not "):
-        TauEnv("gem_tau:sample", max_assistant_steps=steps)
 
 
 def test_neither_seat_sees_what_is_the_others() -> None:
@@ -189,7 +194,7 @@ def test_neither_seat_sees_what_is_the_others() -> None:
         seen: dict[str, list[Any]] = {"assistant": [], "user": []}
         turns = [
             {"user": "<think>MINE</think>Hello."},
-            {"assistant": "<think>MINE</think>" + written("get_order", {"order_id": "#1042"})},
+            {"assistant": "<think>MINE</think>" + written(*LOOK)},
             {"assistant": native(("get_product", {"product": "bell"}), text="Let me look.")},
             {"assistant": "Hello. <think>MINE"},
             {"user": "MINE</think>" + STOP},
@@ -208,39 +213,31 @@ def test_neither_seat_sees_what_is_the_others() -> None:
         assert "actions" not in assistant
         assert not [word for word in ("get_order", "tool_call", "bell-brass", "Let me look", "Policy") if word in user]
         assert "MINE" not in user.replace(json.dumps(task.instruction), "")
-        assert "They" not in assistant
 
 
 def test_fork_goes_on_in_the_middle() -> None:
     """What was changed in the database, said and called is part of the state."""
-    env, untouched = begun(), TauEnv("gem_tau:sample")
-    env.step({"assistant": written(*CANCEL)})
-    env.step({"assistant": "It is cancelled."})
-    other = env.fork()
-    for actions in ({"user": "Thanks"}, {"assistant": written("get_order", {"order_id": "#1042"})}):
-        assert env.step(actions) == other.step(actions)
-    other.step({"assistant": "Anything else?"})
-    assert other.step({"user": STOP})[1]["assistant"] == 1.0
+    talk, untouched = Talk(), TauEnv("gem_tau:sample")
+    talk.assistant(written(*CANCEL))
+    talk.assistant("It is cancelled.")
+    other = talk.env.fork()
+    for actions in ({"user": "Thanks"}, {"assistant": written(*LOOK)}, {"assistant": "Else?"}, {"user": STOP}):
+        assert talk.env.step(actions) == other.step(actions)
+    assert other.cumulative["assistant"] == 1.0
     assert untouched.task_set.database["orders"]["#1042"]["status"] == "pending"
 
 
 def test_calls_decide_where_a_task_says_so() -> None:
     """Tasks of tau2-bench may ask for the reference actions themselves; they are part of the state."""
-
-    def begun_task() -> TauEnv:
-        env = TauEnv("gem_tau:sample")
-        tasks = tuple(replace(task, reward_basis=("ACTION",)) for task in env.task_set.tasks)
-        env.task_set = replace(env.task_set, tasks=tasks)
-        env.reset(seed=0, options={"index": 0})
-        env.step({"user": "Cancel it."})
-        return env
-
-    env = begun_task()
-    env.step({"assistant": written(*CANCEL)})
-    other = env.fork()
-    for each, reward in ((env, 1.0), (other, 1.0), (begun_task(), 0.0)):
+    env = TauEnv("gem_tau:sample")
+    tasks = tuple(replace(task, reward_basis=("ACTION",)) for task in env.task_set.tasks)
+    env.task_set = replace(env.task_set, tasks=tasks)
+    assert Talk(env=env).end()[1]["assistant"] == 0.0
+    talk = Talk(env=env)
+    talk.assistant(written(*CANCEL))
+    for each in (env.fork(), env):
         each.step({"assistant": "Done."})
-        assert each.step({"user": STOP})[1]["assistant"] == reward
+        assert each.step({"user": STOP})[1]["assistant"] == 1.0
 
 
 def test_tools_are_explained_where_they_are_not_offered() -> None:
@@ -249,21 +246,15 @@ def test_tools_are_explained_where_they_are_not_offered() -> None:
     class Assistant:
         reads = "messages"
 
-        def __init__(self, native_tools: bool) -> None:
-            self.native_tools = native_tools
-            self.read: Any = None
-
         def __call__(self, observation: Any, context: gem.Context) -> str:
             self.read = observation
             return "Hello."
 
-    class User:
-        def __call__(self, observation: Any, context: gem.Context) -> str:
-            return STOP if context.turn else "Hi."
-
     for native_tools in (False, True):
-        assistant = Assistant(native_tools)
-        (joint,) = gem.rollout("tau:Sample", agents={"assistant": assistant, "user": User()}, episodes=1)
+        assistant = Assistant()
+        assistant.native_tools = native_tools  # type: ignore[attr-defined]
+        agents = {"assistant": assistant, "user": lambda _, context: STOP if context.turn else "Hi."}
+        (joint,) = gem.rollout("tau:Sample", agents=agents, episodes=1)
         assert joint.error is None
         system, first = assistant.read
         assert first == {"role": "user", "content": "Hi."}
@@ -272,27 +263,25 @@ def test_tools_are_explained_where_they_are_not_offered() -> None:
 
 def test_solo_plays_the_user_inside() -> None:
     """An environment for the assistant alone begins with the user's words, and its infos are the assistant's."""
-    env = gem.make("tau:Sample-solo", user="tau-user:terse")
+    env = gem.make("tau:Sample-solo", user=["tau-user:terse", "tau-user:patient"])
     assert env.unwrapped.num_tasks == 10
+    openings = {env.reset(seed=seed, options={"index": 0})[0] for seed in range(12)}
+    assert len(openings) == 2  # one of the users is drawn
+    env = gem.make("tau:Sample-solo", user="tau-user:terse")
     observation, info = env.reset(seed=0, options={"index": 0})
-    assert observation == "Cancel an order."
-    assert info["system"].startswith("# Policy")
-    assert len(info["tools"]) == 8
+    assert observation == "Cancel an order." in openings
+    assert (info["system"].startswith("# Policy"), len(info["tools"])) == (True, 8)
     assert env.step("What is your e-mail address?")[0] == "ines.castro@example.com."
     assert env.step(native(CANCEL))[4]["messages"][0]["tool_call_id"] == "a"
-    *_, info = env.step("It is done.")
-    assert info["correct"]
+    assert env.step("It is done.")[4]["correct"]
     (episode,) = gem.rollout("tau:Sample-solo", load_agent("tau-assistant:careful"), episodes=1)
     assert episode.success
 
 
 def test_folder_without_tasks_is_refused(tmp_path: Path) -> None:
     """It could not begin an episode."""
-    for name in ("orders", "products", "users"):
-        (tmp_path / f"{name}.json").write_text("{}")
-    (tmp_path / "policy.md").write_text("Be kind.")
-    (tmp_path / "tasks_test.json").write_text("[]")
-    with pytest.raises(DatasetError, match=r" has no task whose reward can be computed; see 'gem tau check'$"):
+    (write_tau(tmp_path) / "tasks_test.json").write_text("[]")
+    with pytest.raises(DatasetError, match="has no task"):
         TauEnv(tmp_path)
 
 
@@ -318,4 +307,4 @@ def test_gold_actions_get_the_reward() -> None:
             _, reward, terminated, truncated, _ = env.step(env.gold_action())
             over = terminated or truncated
         assert reward == 1.0
-    assert begun().gold_action("user") is None
+    assert Talk().env.gold_action("user") is None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 from click.testing import CliRunner
@@ -81,21 +80,16 @@ def test_long_messages_of_a_user_are_read_soon(text: str) -> None:
 
 
 def test_heatmap_prints_and_writes(tmp_path: Path) -> None:
-    """A table of rates with their errors and numbers, and the same as a picture or JSON."""
-    picture, numbers = tmp_path / "map.svg", tmp_path / "map.json"
-    chosen = ["--users", ",".join(USERS[:1]), "--assistants", ",".join(ASSISTANTS[1:]), "--episodes", "6"]
-    done = CliRunner().invoke(command, ["heatmap", *chosen, "--out", str(picture)])
+    """A table of rates with their errors and numbers, and the same as JSON."""
+    numbers = tmp_path / "map.json"
+    chosen = ["--users", USERS[0], "--assistants", ",".join(ASSISTANTS[1:]), "--episodes", "6"]
+    done = CliRunner().invoke(command, ["heatmap", *chosen, "--out", str(numbers)])
     assert done.exit_code == 0
     assert done.output.splitlines()[1].split() == ["user", *ASSISTANTS[1:]]
     assert " ".join(done.output.splitlines()[2].split()) == "tau-user:patient 83.3 ± 14.9 (6) 0.0 ± 7.1 (6)"
-    texts = [element.text for element in ElementTree.parse(picture).iter() if element.tag.endswith("text")]
-    assert texts[1:] == [*ASSISTANTS[1:], "tau-user:patient", "83.3 ± 14.9", "n = 6", "0.0 ± 7.1", "n = 6"]
-    CliRunner().invoke(command, ["heatmap", *chosen, "--out", str(numbers)])
     first, _ = json.loads(numbers.read_text(encoding="utf-8"))
     assert (first["user"], first["assistant"], first["episodes"]) == ("tau-user:patient", "tau-assistant:hasty", 6)
     assert first["success_rate"] == pytest.approx(5 / 6)
-    with pytest.raises(ArgumentError, match=r"map\.png"):
-        CliRunner().invoke(command, ["heatmap", "--out", "map.png"], catch_exceptions=False)
 
 
 def test_failed_episodes_are_in_no_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -139,11 +139,3 @@ def test_container_that_somebody_else_removed_is_an_error_and_the_next_episode_g
     env.reset(seed=1)
     assert env.step("<bash>echo again</bash>")[0].startswith("again\n")
     env.close()
-
-
-def test_soak(run: str) -> None:
-    """Episodes while workers and containers are killed at random; nothing is left."""
-    script = Path(__file__).parents[3] / "scripts" / "terminal_soak.py"
-    words = [sys.executable, str(script), "--episodes", "6", "--num-envs", "2", "--every", "2"]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
