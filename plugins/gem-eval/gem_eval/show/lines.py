@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from operator import itemgetter
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 from click import style
 
@@ -28,47 +27,38 @@ from gem_eval.turns import (
 if TYPE_CHECKING:
     from gem_eval.records import Row
 
-# Of each column the most characters, and what stands in it.
-_COLUMNS: dict[str, tuple[int, Callable[[Row], object]]] = {
-    "number": (8, lambda row: row.number),
-    "environment": (60, lambda row: row.id),
-    "model": (40, lambda row: "" if row.seats else row.model),
-    "outcome": (8, outcome_of_row),
-    "return": (10, lambda row: "" if len(row.seats or ()) > 1 else f"{row.episode_return:.4g}"),
-    "turns": (6, lambda row: row.turns),
-    "cut off": (12, lambda row: row.cut_off or ""),
-    "seed": (17, lambda row: "-" if row.seed is None else row.seed),
-    "group": (24, lambda row: row.group or ""),
-    "agents and returns": (100, lambda row: _agents(row)),
-    "error": (200, lambda row: row.error or ""),
-}
-_TO_THE_LEFT = ("environment", "model", "outcome", "cut off", "group", "agents and returns", "error")
-_IF_ANY = ("model", "return", "cut off", "group", "agents and returns", "error")
-_DISPENSABLE = ("group", "seed", "turns", "cut off", "return", "model")
 _LONGEST_VALUE = 300
 
 _OUTCOME_COLOURS = {"success": "green", "failure": "red", "unscored": "white", "split": "white", "error": "yellow"}
 
 
-def list_lines(episodes: Iterable[Row], width: int | None = None) -> Iterator[str]:
-    """Return the lines of a list: a header, then one line for each episode.
+def _column(name: str, widest: int, cell: Callable[[Row], object], rank: int | None = None, **options: Any) -> Column:
+    return Column(name, lambda row: one_line(str(cell(row)), widest), rank, **{"text": True, **options})
+
+
+_COLUMNS = [
+    _column("number", 8, lambda row: row.number, text=False),
+    _column("environment", 60, lambda row: row.id),
+    _column("model", 40, lambda row: "" if row.seats else row.model, 5),
+    _column("outcome", 8, outcome_of_row, colour=lambda row: _OUTCOME_COLOURS[outcome_of_row(row)]),
+    _column("return", 10, lambda row: "" if len(row.seats or ()) > 1 else f"{row.episode_return:.4g}", 4, text=False),
+    _column("turns", 6, lambda row: row.turns, 2, text=False),
+    _column("cut off", 12, lambda row: row.cut_off or "", 3),
+    _column("seed", 17, lambda row: "-" if row.seed is None else row.seed, 1, text=False),
+    _column("group", 24, lambda row: row.group or "", 0),
+    _column("agents and returns", 100, lambda row: _agents(row)),
+    _column("error", 200, lambda row: row.error or ""),
+]
+
+
+def list_lines(rows: Sequence[Row], width: int | None = None) -> Iterator[str]:
+    """Return the lines of a list: a header, then one line for each episode; columns that are empty have none.
 
     Args:
-        episodes: Their rows.
+        rows: The episodes.
         width: Characters in a line: columns are left out to fit, and errors cut; None leaves all whole.
     """
-    rows = list(map(_cells, episodes))
-    columns = [
-        Column(
-            name,
-            itemgetter(name),
-            _DISPENSABLE.index(name) if name in _DISPENSABLE else None,
-            text=name in _TO_THE_LEFT,
-            colour=(lambda row: _OUTCOME_COLOURS[row["outcome"]]) if name == "outcome" else lambda row: "",
-        )
-        for name in _COLUMNS
-        if name not in _IF_ANY or any(row[name] for row in rows)
-    ]
+    columns = [column for column in _COLUMNS if any(map(column.cell, rows))]
     return table_lines(columns, rows, width) if rows else iter(())
 
 
@@ -157,10 +147,6 @@ def _block_lines(block: Block) -> Iterator[str]:
 def _facts(facts: dict[str, str], full: bool) -> Iterator[str]:
     for name, value in facts.items():
         yield dim(f"{one_line(name)}: ") + one_line(value, None if full else _LONGEST_VALUE)
-
-
-def _cells(row: Row) -> dict[str, str]:
-    return {name: one_line(str(cell(row)), widest) for name, (widest, cell) in _COLUMNS.items()}
 
 
 def _agents(row: Row) -> str:
