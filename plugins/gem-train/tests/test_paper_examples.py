@@ -58,11 +58,10 @@ def test_study_runs_from_imitation_to_its_figure(
         study, "run_all", lambda run, settings, *_, **__: [{**each, **run(**each)} for each in settings]
     )
     monkeypatch.setattr(study, "print_rows", printed.extend)
-    tmp_path.joinpath("out").mkdir()
-    study.main(["--quick", "--out", str(tmp_path / "out")], standalone_mode=False)
+    study.main(["--quick", "--out", str(tmp_path)], standalone_mode=False)
     assert len(printed) == rows
     assert {row["low"] for row in printed} == {None}
-    assert (tmp_path / "out" / "figure.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("task", algorithms.TASKS)
