@@ -245,11 +245,12 @@ def _episodes(options: _Options) -> Iterator[Record]:
         if vector is not options.env:
             at_end.callback(vector.close)
         at_end.callback(options.close_loaded)
-        for agent in options.agents:
+        agents = options.agents
+        for agent in agents:
             prepare_agent(agent)
         queue = options.queue(vector, finished)
         count = options.counting(at_end, queue, len(finished))
-        is_plain = not any(map(is_asynchronous, options.agents))
+        is_plain = not any(map(is_asynchronous, agents))
         run = Run(vector, queue, options.seating, options.max_requests, door.here, is_plain)
         at_end.callback(lambda: door.run(run.stop()) if run.tasks else None)
         for episode in _records(run, door):

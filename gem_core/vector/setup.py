@@ -133,15 +133,17 @@ class VectorSetup:
 
         If the task's class does not declare it, an environment is made with the arguments that come with its id.
         """
-        requested = [{**self.kwargs, **kwargs} for each, kwargs in self.entries if each == env_id]
         declared = self.task_concurrency(env_id)
+        requested = [kwargs for each, kwargs in self.entries if each == env_id]
         if declared is None and requested:
             env = self.make(env_id, requested[0])
             try:
                 declared = concurrency_of(env)
             finally:
                 env.close()
-        for wrappers in (self.wrappers, *(kwargs.get("wrappers", ()) for kwargs in requested)):
+        stacks = [self.wrappers, self.kwargs.get("wrappers", ())]
+        stacks += [kwargs.get("wrappers", ()) for kwargs in requested]
+        for wrappers in stacks:
             if wrappers and declared is not None:
                 declared = most_demanding(declared, *_declared_by(wrappers))
         return declared

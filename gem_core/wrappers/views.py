@@ -76,7 +76,7 @@ class ObservationView(Wrapper):
         info["view"] = self.registered_as[0] if self.registered_as else type(self).__name__
         self._history = History(task, info.get("system"))
         shown = self.show(self._history)
-        if self._is_too_long(shown):
+        if self.max_tokens is not None and self._is_too_long(shown):
             raise ArgumentError(f"the task alone has more tokens than max_tokens, which is {self.max_tokens}; raise it")
         return shown, info
 
@@ -89,21 +89,20 @@ class ObservationView(Wrapper):
         if self.max_turns is not None:
             del turns[: -self.max_turns]
         shown = self.show(self._history)
-        while (too_long := self._is_too_long(shown)) and len(turns) > 1:
+        while self.max_tokens is not None and self._is_too_long(shown):
+            if len(turns) == 1:
+                info["context_overflow"] = True
+                truncated = truncated or not terminated
+                break
             del turns[0]
             shown = self.show(self._history)
-        if too_long:
-            info["context_overflow"] = True
-            truncated = truncated or not terminated
         return shown, reward, terminated, truncated, info
 
     def _is_too_long(self, observation: Observation) -> bool:
-        if self.max_tokens is None:
-            return False
         text = "\n".join(texts_of(observation))
         encode = getattr(self.count_tokens, "encode", None)
         length = len(encode(text)) if encode is not None else int(self.count_tokens(text))
-        return length > self.max_tokens
+        return length > (self.max_tokens or 0)
 
 
 class Latest(ObservationView):
