@@ -17,12 +17,47 @@ from gem_tools.python import Limits
 
 watched = each_level()
 
+CPU = Limits(wall_s=60, cpu_s=0.4)
+WALL = Limits(wall_s=0.5, cpu_s=60)
+OVER = ("error", "memory", "cpu", "timeout")
+IGNORE = """
+import signal
+for number in range(1, 65):
+    try: signal.signal(number, signal.SIG_IGN)
+    except (OSError, ValueError): pass
+signal.pthread_sigmask(signal.SIG_BLOCK, range(1, 65))
+while True: pass
+"""
+MEMFD = "import os\nfor number in range(100):\n    m = os.memfd_create('x')\n    os.write(m, bytes(8 << 20))"
+SHARED = "import ctypes\nlibc = ctypes.CDLL(None, use_errno=True)\nassert libc.shmget(0, 1 << 20, 0o1600) >= 0"
 
-@pytest.mark.thorough
-def test_fork_bomb(watched: Watched) -> None:
-    """Processes that multiply as fast as they can reach the limit, and all end with the call."""
-    code = "import os\nwhile True:\n    try:\n        os.fork()\n    except OSError:\n        pass"
-    assert attack(watched, code, SHORT).status in ("timeout", "cpu")
+
+@pytest.mark.few(3)
+@pytest.mark.parametrize(
+    ("code", "limits", "ends"),
+    [
+        ("while True: pass", WALL, ("timeout",)),
+        ("import os\nos.fork()\nos.fork()\nwhile True: pass", CPU, ("cpu",)),
+        (IGNORE, WALL, ("timeout",)),
+        ("import os\nwhile True:\n    try: os.fork()\n    except OSError: pass", SHORT, ("timeout", "cpu")),
+        ("import os\nos.fork()\nwhile True: os.write(2, b'\\xff\\x00' * 5000)", SMALL, ("output",)),
+        ("import mmap\nkept = [mmap.mmap(-1, 1 << 20) for _ in range(1000)]", SHORT, OVER),
+        (MEMFD, SHORT, OVER),
+        (SHARED, SHORT, OVER),
+        ("x = 'a' * (1 << 40)", SHORT, OVER),
+        ("[0] * (1 << 33)", SHORT, OVER),
+        ("9 ** 9 ** 9", SHORT, OVER),
+        ("x = []\nx.append(x)\ny = [x] * 10 ** 9", SHORT, OVER),
+    ],
+)
+def test_what_has_no_end_is_ended(watched: Watched, code: str, limits: Limits, ends: tuple[str, ...]) -> None:
+    """Loops, processes, output and memory, in each way that there is; the limit is told, and kept."""
+    outcome = attack(watched, code, limits)
+    assert outcome.status in ends
+    if limits is WALL:
+        assert (outcome.error, outcome.wall_s >= 0.5) == ("The time limit of 0.5 s was reached.", True)
+    if limits is CPU:
+        assert outcome.error == "The limit of 0.4 s of processor time was reached."
 
 
 @pytest.mark.root
@@ -107,25 +142,6 @@ time.sleep(60)
         watched.pool.close()
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    "code",
-    [
-        "import mmap\nkept = [mmap.mmap(-1, 1 << 20) for _ in range(1000)]",
-        "import os\nfor number in range(100):\n    m = os.memfd_create('x')\n    os.write(m, bytes(8 << 20))",
-        "import ctypes\nlibc = ctypes.CDLL(None, use_errno=True)\nassert libc.shmget(0, 1 << 20, 0o1600) >= 0",
-        "x = 'a' * (1 << 40)",
-        "[0] * (1 << 33)",
-        "9 ** 9 ** 9",
-        "x = []\nx.append(x)\ny = [x] * 10 ** 9",
-    ],
-    ids=["mmap", "memfd", "shared", "huge-text", "huge-list", "huge-number", "long-list"],
-)
-def test_memory_by_other_ways(watched: Watched, code: str) -> None:
-    """Nothing that counts as memory, or lives outside of it, comes past the limit."""
-    assert attack(watched, code, SHORT).status in ("error", "memory", "cpu", "timeout")
-
-
 def test_endless_output(watched: Watched) -> None:
     """It is cut, and what is kept has the exact length."""
     outcome = attack(watched, "while True:\n    print('x' * 1000)")
@@ -133,45 +149,6 @@ def test_endless_output(watched: Watched) -> None:
     kept = outcome.stdout.replace(f"\n[… {outcome.dropped[0]} bytes left out …]\n", "")
     assert len(kept) == 2000
     assert outcome.dropped_bytes < 10_000_000
-
-
-@pytest.mark.thorough
-def test_endless_output_of_a_child(watched: Watched) -> None:
-    """Also from processes of its own, on the other stream, in raw bytes."""
-    code = "import os\nos.fork()\nwhile True:\n    os.write(2, b'\\xff\\x00' * 5000)"
-    assert attack(watched, code).status == "output"
-
-
-def test_endless_loop(watched: Watched) -> None:
-    """Ends at the limit of time, which is told."""
-    outcome = attack(watched, "while True: pass", Limits(wall_s=0.5, cpu_s=60))
-    assert (outcome.status, outcome.error) == ("timeout", "The time limit of 0.5 s was reached.")
-    assert outcome.wall_s >= 0.5
-
-
-@pytest.mark.thorough
-def test_processor_time_of_all_processes(watched: Watched) -> None:
-    """What children use counts."""
-    code = "import os\nos.fork()\nos.fork()\nwhile True: pass"
-    outcome = attack(watched, code, Limits(wall_s=60, cpu_s=0.4))
-    assert (outcome.status, outcome.error) == ("cpu", "The limit of 0.4 s of processor time was reached.")
-
-
-@pytest.mark.thorough
-def test_signals_are_ignored(watched: Watched) -> None:
-    """Code that blocks and ignores every signal ends as well."""
-    code = """
-import signal
-for number in range(1, 65):
-    try:
-        signal.signal(number, signal.SIG_IGN)
-    except (OSError, ValueError):
-        pass
-signal.pthread_sigmask(signal.SIG_BLOCK, range(1, 65))
-while True:
-    pass
-"""
-    assert attack(watched, code, Limits(wall_s=0.5, cpu_s=60)).status == "timeout"
 
 
 @pytest.mark.thorough

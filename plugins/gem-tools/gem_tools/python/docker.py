@@ -28,7 +28,7 @@ _MEMORY = "4096m"
 _START = 'exec env -i "PATH=$PATH" "$@"'
 # Places that are writable for all by themselves, where a call could leave something for another to read.
 _CLOSE = "chmod 0711 /tmp; chmod 0700 /dev/mqueue; "
-# What the keeper needs to run each call as a user of its own, to look at its memory, and to clear up after it.
+# What the first process needs to run each call as a user of its own, to look at its memory, and to clear up after it.
 POWERS = ("SETUID", "SETGID", "KILL", "CHOWN", "DAC_OVERRIDE", "FOWNER", "SYS_PTRACE")
 
 # As Docker, and Podman, say so.

@@ -74,7 +74,7 @@ class Launch:
     Args:
         level: Its name.
         command: Program and arguments.
-        settings: What is told to the keeper inside.
+        settings: What is told to the first process inside.
         popen: Further keywords for ``subprocess.Popen``.
         base: Folder on disk that the sandbox owns; None where it has none.
         note: What is special about this way of the level, in a few words.
@@ -258,7 +258,7 @@ def _to_hide() -> tuple[str, list[str]]:
 
 
 def _settings(options: Mapping[str, Any], *, namespaces: bool, uid: int | None, **further: Any) -> dict[str, Any]:
-    """Return what the keeper inside is told of its level.
+    """Return what the first process inside is told of its level.
 
     ``namespaces``: calls are kept apart by these. ``uid`` and ``uids``: the first of the users that code runs as, and
     how many there are. ``same_user``: code runs as the user of all else. ``own_machine``: all that runs there is of the

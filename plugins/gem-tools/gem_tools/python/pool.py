@@ -215,15 +215,15 @@ class Pool:
 
     def _serve(self) -> None:
         """Give idle sandboxes to the calls that wait, in the order of their coming; start more if there are too few."""
-        self.waiting = [(turn, bound) for turn, bound in self.waiting if not turn.done()]
         for turn, bound in self.waiting:
             if not self.idle:
                 break
             cell = bound or self.idle[0]
-            if cell in self.idle:
+            if cell in self.idle and not turn.done():
                 self.idle.remove(cell)
                 turn.set_result(cell)
-        free = sum(1 for turn, bound in self.waiting if bound is None and not turn.done())
+        self.waiting = [(turn, bound) for turn, bound in self.waiting if not turn.done()]
+        free = sum(1 for _, bound in self.waiting if bound is None)
         while self._starting < free and len(self.cells) + self._starting < self.num_workers:
             self._starting += 1
             self._in_background(self._start_one())

@@ -1,7 +1,7 @@
 """Runs code in the process that was forked for it, and reports its outcome.
 
 What this module reports comes from the same process as the code, which can therefore forge it: a last value, an error's
-text. Whether the process ended, how, when and at what cost is told by its keeper alone.
+text. Whether the process ended, how, when and at what cost is told by the first process alone.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ FILENAME = "<python>"
 """Of the code; a later piece of a session has its number in it, so that each keeps its own lines."""
 
 _MAX_FRAMES = 30
+_MOST_FRAMES = 2000  # looked at for the last of the code's own; a recursion without an end has millions
 _MAX_LINE = 300
 _SHELL_MARKS = ("!", "%", ">>>", "pip ")
 _PLAIN_PYTHON = (
@@ -183,7 +184,7 @@ def _described(error: BaseException, most: int) -> dict[str, Any]:
     try:
         if isinstance(error, SyntaxError) and error.text is None and error.filename and error.lineno:
             error.text = linecache.getline(error.filename, error.lineno)  # of code that could be parsed
-        told = traceback.TracebackException.from_exception(error, compact=True)
+        told = traceback.TracebackException.from_exception(error, limit=-_MOST_FRAMES, compact=True)
         chain = _chain(told)
         for each in chain:
             first = next((place for place, frame in enumerate(each.stack) if _is_own(frame)), 0)
