@@ -117,15 +117,6 @@ def test_a_view_that_was_named_says_what_is_sent(view: str) -> None:
     assert (episode.reads, episode.info["view"]) == ("observation", view)
 
 
-def test_a_game_without_tools_is_a_conversation_too() -> None:
-    """Each answer keeps how things stood."""
-    agent = Scripted([Response("ok")] * 4, reads="messages")
-    played(agent, [], "toy:Countdown-v0")
-    last: Any = agent.sent[-1]
-    assert [message["role"] for message in last] == ["user", *["assistant", "user"] * 3]
-    assert last[-1]["content"] == "You said 'ok'.\nLeft: 1."
-
-
 EXPLAINED = str(ToolEnv(EchoEnv(), TOOLS).reset()[0])
 TEXT_OF_TWO = f"""\
 {EXPLAINED}\

@@ -12,12 +12,8 @@ import gem_core as gem
 pytest.importorskip("gem_math", reason="the problems come with gem-math")
 pytest.importorskip("gem_tools", reason="the Python tool comes with gem-tools")
 
-# What a problem says, and the program that solves it with the values of the groups.
-MATH = {
-    r"largest whole number that divides both (\d+) and (\d+)\?": "import math; print(math.gcd({0}, {1}))",
-    r"ring every (\d+), (\d+) and (\d+) minutes": "import math; print(math.lcm({0}, {1}, {2}))",
-    r"remainder when \$(\d+)\^\{(\d+)\}\$ is divided by \$(\d+)\$": "print(pow({0}, {1}, {2}))",
-}
+GCD = {r"largest whole number that divides both (\d+) and (\d+)\?": "import math; print(math.gcd({0}, {1}))"}
+"""What a problem says, and the program that solves it with the values of the groups."""
 
 
 class Programmer:
@@ -37,29 +33,25 @@ class Programmer:
         return "I do not know this one."
 
 
-def programmed(ids: str, programs: dict[str, str], **run: Any) -> list[Any]:
+def programmed(programs: dict[str, str], **run: Any) -> list[Any]:
     """Return the episodes of a programmer with the Python tool."""
-    with gem.make_vec(ids, 2, wrappers="python", seed=3) as vector:
+    with gem.make_vec("math:Sample", 2, wrappers="python", seed=3) as vector:
         return list(gem.rollout(vector, Programmer(programs), **run))
 
 
-@pytest.mark.thorough
 def test_an_agent_solves_problems_of_the_sample_with_the_python_tool() -> None:
-    """The 15 problems of three families, in two turns each; what it has no program for, it does not solve."""
+    """In two turns each; what it has no program for, it does not solve."""
     with gem.make("math:Sample") as env:
         problems = [str(env.reset(options={"index": index})[0]) for index in range(env.unwrapped.num_tasks)]
-    known = [index for index, text in enumerate(problems) if any(re.search(pattern, text) for pattern in MATH)]
-    others = [index for index in range(len(problems)) if index not in known][:8]
-    assert len(known) == 15
-    plan = [gem.PlanItem(options={"index": index}) for index in known + others]
-    episodes = programmed("math:Sample", MATH, plan=plan)
-    assert len(episodes) == len(plan)
-    solved = sorted(episode.options["index"] for episode in episodes if episode.success)
-    assert solved == known
-    assert {episode.turns for episode in episodes if episode.success} == {2}
+    known = [index for index, text in enumerate(problems) if re.search(next(iter(GCD)), text)]
+    other = next(index for index in range(len(problems)) if index not in known)
+    plan = [gem.PlanItem(options={"index": index}) for index in (*known, other)]
+    solved = {episode.options["index"]: episode.turns for episode in programmed(GCD, plan=plan) if episode.success}
+    assert solved == dict.fromkeys(known, 2)
+    assert len(known) == 5
 
 
 def test_a_program_that_is_wrong_gets_no_reward() -> None:
     """That the tool succeeds is no success of the task's."""
-    episodes = programmed("math:Sample", {r"[\s\S]": "print('nonsense')"}, episodes=4)
+    episodes = programmed({r"[\s\S]": "print('nonsense')"}, episodes=4)
     assert [(episode.success, episode.turns) for episode in episodes] == [(False, 2)] * 4

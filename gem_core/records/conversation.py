@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
-from typing import Any, Self
+from typing import Any, Self, cast
 
 from gem_core.env.observations import is_messages, join_observations, observation_from
 from gem_core.records.plain_json import to_plain
@@ -127,9 +127,15 @@ class Conversation:
 
     def __init__(self, episode: Any) -> None:
         self._episode = episode
-        self._viewed = "view" in episode.info
-        self._instructions = self._in_both_wordings()
-        self.system = self._system()
+        told = episode.info.get("tool_instructions")
+        words: tuple[Any, ...] = (told.get("text"), told.get("native")) if isinstance(told, Mapping) else ()
+        self._wordings = words if episode.native_tools and all(isinstance(each, str) for each in words) else ()
+        """The explanation of the tools, and the words in its place where an agent is offered them natively."""
+        first = episode.observation[0] if is_messages(episode.observation) else {}
+        system = episode.info.get("system") if episode.system is None else episode.system
+        if first.get("role") == "system":
+            system = first.get("content")  # messages that bring their own keep it
+        self.system: str | None = self._explained_once(system) if isinstance(system, str) else None
         self._history = History(self._turn("", episode.observation, episode.info), self.system)
 
     def sent(self) -> Observation:
@@ -138,8 +144,7 @@ class Conversation:
             return self.messages()
         if self._episode.reads == CONCAT_WITH_ACTION:
             return self._so_far().text()
-        shown: Observation = self._explained_once(self._episode.final_observation)
-        return shown
+        return cast("Observation", self._explained_once(self._episode.final_observation))
 
     def messages(self) -> list[ChatMessage]:
         """Return the chat so far; the list and its messages are the caller's own."""
@@ -157,31 +162,15 @@ class Conversation:
 
     def _turn(self, action: str, observation: Observation, info: Info) -> Turn:
         turn = Turn.of(action, observation, info)
-        if not self._viewed and observation_from(turn.feedback, turn.suffix) != observation:
+        viewed = "view" in self._episode.info
+        if not viewed and observation_from(turn.feedback, turn.suffix) != observation:
             turn = replace(turn, feedback=observation, suffix="")  # a wrapper that is no view has changed it
-        if self._instructions is None:
-            return turn
         outputs = {name: self._explained_once(getattr(turn, name)) for name in ("feedback", "suffix", "messages")}
-        return replace(turn, **outputs)
+        return replace(turn, **outputs) if self._wordings else turn
 
     def _explained_once(self, observation: Any) -> Any:
-        """Return a text without the explanation of tools if the agent is offered them natively."""
-        return observation if self._instructions is None else _replaced(observation, *self._instructions)
-
-    def _in_both_wordings(self) -> tuple[str, str] | None:
-        told = self._episode.info.get("tool_instructions")
-        if not self._episode.native_tools or not isinstance(told, Mapping):
-            return None
-        text, native = told.get("text"), told.get("native")
-        return (text, native) if text and isinstance(text, str) and isinstance(native, str) else None
-
-    def _system(self) -> str | None:
-        episode = self._episode
-        first = episode.observation[0] if is_messages(episode.observation) else {}
-        system: Any = episode.info.get("system") if episode.system is None else episode.system
-        if isinstance(first, Mapping) and first.get("role") == "system":
-            system = first.get("content")  # messages that bring their own keep it
-        return self._explained_once(system) if isinstance(system, str) else None
+        """Return an observation without the explanation of tools if the agent is offered them natively."""
+        return _replaced(observation, *self._wordings) if self._wordings and self._wordings[0] else observation
 
 
 def call_id(call: object, place: int) -> str:

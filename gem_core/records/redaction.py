@@ -35,7 +35,7 @@ def without_secrets(value: Any) -> Any:
         value: Names and options as plain JSON, of which nothing is changed.
     """
     if isinstance(value, str):
-        return _redact_address(value)
+        return _QUERY.sub(rf"\g<1>{BLOT}", _USER.sub(f"{BLOT}@", value)) if "://" in value else value
     if isinstance(value, Mapping):
         return {name: _redact_item(name, part) for name, part in value.items()}
     if isinstance(value, list):
@@ -62,9 +62,3 @@ def _redact(value: object) -> Any:
     if value is None or isinstance(value, bool) or (isinstance(value, str) and _VARIABLE.fullmatch(value)):
         return value
     return BLOT
-
-
-def _redact_address(text: str) -> str:
-    if "://" not in text:
-        return text
-    return _QUERY.sub(rf"\g<1>{BLOT}", _USER.sub(f"{BLOT}@", text))
