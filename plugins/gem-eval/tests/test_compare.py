@@ -12,8 +12,8 @@ from click.testing import CliRunner, Result
 from indexed_runs import verdicts, write_index
 
 import gem_eval
+from gem_core.cli import cli
 from gem_core.errors import ArgumentError
-from gem_eval.comparing.command import command
 from gem_eval.statistics import mcnemar, paired_difference
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ ID = "game:GuessTheNumber-v0"
 
 
 def call(*arguments: object) -> Result:
-    return CliRunner().invoke(command, list(map(str, arguments)))
+    return CliRunner().invoke(cli, ["compare", *map(str, arguments)])
 
 
 def compared(path: Path, a: str, b: str, **options: Any) -> Comparison:

@@ -19,9 +19,9 @@ from click.testing import CliRunner
 from PIL import Image
 
 import gem_eval
+from gem_core.cli import cli
 from gem_core.errors import ArgumentError
 from gem_core.records import write_episodes
-from gem_eval.exporting.command import command
 from gem_eval.records import RunWriter, open_run
 
 INSPECT = os.environ.get("GEM_INSPECT_PYTHON", sys.executable)
@@ -29,7 +29,7 @@ INSPECT = os.environ.get("GEM_INSPECT_PYTHON", sys.executable)
 
 
 def export(*arguments: object) -> str:
-    return CliRunner().invoke(command, [str(each) for each in arguments], catch_exceptions=False).output
+    return CliRunner().invoke(cli, ["export", *map(str, arguments)], catch_exceptions=False).output
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_a_damaged_episode_is_left_out_and_counted(run: Path, tmp_path: Path, fo
     content[open_run(path).rows[1].offset + 20] ^= 0xFF
     (path / "episodes.jsonl.zst").write_bytes(content)
     done = CliRunner().invoke(
-        command, [str(path), "--to", form, "--out", str(out), *(["--texts"] if form == "csv" else [])]
+        cli, ["export", str(path), "--to", form, "--out", str(out), *(["--texts"] if form == "csv" else [])]
     )
     whole = len(open_run(run).rows) - 1
     assert (done.exit_code, done.stderr.count("line 2: passed over")) == (0, 1)

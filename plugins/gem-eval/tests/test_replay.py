@@ -13,16 +13,16 @@ from PIL import Image
 import gem_core as gem
 import gem_eval
 from gem_core import Episode, Response, Transition
+from gem_core.cli import cli
 from gem_core.errors import ArgumentError
 from gem_core.records import ImageFolder, write_episodes
-from gem_eval.replaying.command import command
 from gem_eval.replaying.replay import differences
 
 ID = "game:GuessTheNumber-v0-hard"
 
 
 def call(*arguments: object, text: str = "") -> Result:
-    return CliRunner().invoke(command, list(map(str, arguments)), input=text)
+    return CliRunner().invoke(cli, ["replay", *map(str, arguments)], input=text)
 
 
 def guess(observation: Any, context: Any) -> str:

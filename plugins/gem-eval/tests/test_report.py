@@ -12,10 +12,10 @@ from click.testing import CliRunner
 from pages import Page, hash_of
 
 from gem_core import Episode, Response, Transition
+from gem_core.cli import cli
 from gem_eval.comparing.comparison import compare
 from gem_eval.records import RunWriter, open_run
 from gem_eval.reporting import plots
-from gem_eval.reporting.command import command
 from gem_eval.reporting.contents import choose_examples, contents_of, ending_of, solved_counts
 from gem_eval.reporting.page import html_report
 
@@ -26,7 +26,7 @@ ALLOWED = set(
 
 
 def report(*arguments: object) -> str:
-    return CliRunner().invoke(command, [str(each) for each in arguments], catch_exceptions=False).output
+    return CliRunner().invoke(cli, ["report", *map(str, arguments)], catch_exceptions=False).output
 
 
 def page_of(*runs: Path, shown: int = 8) -> Page:

@@ -14,9 +14,9 @@ from indexed_runs import verdicts, write_index
 import gem_core as gem
 import gem_eval
 from gem_core import Episode, Transition
+from gem_core.cli import cli
 from gem_core.errors import ArgumentError, RequestError
 from gem_core.records import read_episodes, write_episodes
-from gem_eval.scoring.command import command
 from gem_eval.scoring.grading import find_grader
 from gem_eval.scoring.judge import asked, model_judge
 
@@ -24,7 +24,7 @@ ID = "game:GuessTheNumber-v0-hard"
 
 
 def call(*arguments: object) -> Result:
-    return CliRunner().invoke(command, list(map(str, arguments)))
+    return CliRunner().invoke(cli, ["score", *map(str, arguments)])
 
 
 def guess(observation: Any, context: Any) -> str:
