@@ -54,7 +54,7 @@ test-core: $(VENV)/.dev ## run the core's tests alone, as on another Python
 	@$(PYTEST) $(ARGS) tests
 
 .PHONY: test-thorough
-test-thorough: $(VENV)/.dev ## run all of them: whole matrices, soaks, real engines, and each plugin in isolation
+test-thorough: $(VENV)/.dev ## run all of them: whole matrices, real engines, and each plugin in isolation
 	$(call say,running all tests)
 	@$(PYTEST) --thorough $(ARGS) tests $(wildcard plugins/*/tests)
 	@$(MAKE) test-isolated

@@ -14,9 +14,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add ``--thorough``."""
-    parser.addoption(
-        "--thorough", action="store_true", help="run all tests: whole matrices, soaks, and all that takes long"
-    )
+    parser.addoption("--thorough", action="store_true", help="run all tests: whole matrices, and all that takes long")
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -33,17 +33,12 @@ def test_what_no_record_can_hold_stops_no_run(
 ) -> None:
     """Numbers that are none, and values nested without end."""
     whole = completion("ok")
-    call = {"id": "a", "type": "function", "function": {"name": "f", "arguments": "{}"}}
-    if place == "usage":
-        whole["usage"] = {"prompt_tokens": 1, "more": "RAW"}
-    elif place == "call":
-        whole["choices"][0]["message"]["tool_calls"] = [{**call, "more": "RAW"}]
-    elif place == "arguments":
-        whole["choices"][0]["message"]["tool_calls"] = [{**call, "function": {"name": "f", "arguments": {"a": "RAW"}}}]
-    elif place == "logprobs":
-        whole["choices"][0]["logprobs"] = {"content": [{"token": "a", "logprob": "RAW"}]}
-    else:
-        whole["choices"][0]["token_ids"] = ["RAW"]
+    choice, function = whole["choices"][0], {"name": "f", "arguments": {"a": "RAW"} if place == "arguments" else "{}"}
+    if place in ("call", "arguments"):
+        choice["message"]["tool_calls"] = [{"id": "a", "function": function, "more": "RAW" if place == "call" else ""}]
+    choice |= {"logprobs": {"content": [{"token": "a", "logprob": "RAW"}]}} if place == "logprobs" else {}
+    choice |= {"token_ids": ["RAW"]} if place == "token_ids" else {}
+    whole["usage"] = {"prompt_tokens": 1, "more": "RAW" if place == "usage" else 1}
     server.otherwise = with_raw(whole, raw)
     agent = make_agent(max_retries=1)
     with EpisodeWriter(tmp_path / "a.jsonl") as writer:

@@ -29,14 +29,6 @@ EXPECTED: dict[str, dict[str, Any]] = {
 }
 
 
-def rule_taker_row(number: int) -> dict[str, str]:
-    """A row of RuleTaker's form, generated: facts, a rule, and whether a statement follows."""
-    who, likes = ("Anne", "Bob", "Carol")[number % 3], number % 2 == 0
-    other = who if likes else "Dave"
-    facts = f"{who} is kind. If someone is kind then they are nice."
-    return {"question": f"{facts} Is it true or false: {other} is nice.", "answer": str(likes)}
-
-
 @pytest.mark.parametrize("env_id", EXPECTED)
 def test_id_has_the_data_set_of_gem_llm(env_id: str) -> None:
     """Name, split, columns and form of the answer, and the hub as its requirement."""
@@ -57,8 +49,8 @@ def test_id_runs_on_a_local_copy(env_id: str, tmp_path: Path, monkeypatch: pytes
     datasets = pytest.importorskip("datasets")
     monkeypatch.setattr(datasets.config, "HF_DATASETS_CACHE", tmp_path / "cache")
     expected = EXPECTED[env_id]
-    rows = [rule_taker_row(number) for number in range(6)]
-    rows = [{expected["question_key"]: row["question"], "answer": row["answer"]} for row in rows]
+    question = "Anne is kind. If someone is kind then they are nice. Is it true or false: Dave is nice."
+    rows = [{expected["question_key"]: question, "answer": "False"}] * 2
     (tmp_path / "copy").mkdir()
     for split in (expected["split"], "other"):
         (tmp_path / "copy" / f"{split}.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows), "utf-8")
@@ -67,7 +59,7 @@ def test_id_runs_on_a_local_copy(env_id: str, tmp_path: Path, monkeypatch: pytes
     (tmp_path / "copy" / "README.md").write_text(f"---\n{json.dumps(config)}\n---\n", "utf-8")
     env = gem.make(env_id, dataset_name=str(tmp_path / "copy"))
     observation, _ = env.reset(options={"index": 1})
-    assert observation.startswith(rows[1][expected["question_key"]])
+    assert observation.startswith(question)
     boxed = "extract_boxed" in expected
     assert ("\\boxed{}" in observation) is boxed
     assert env.step("\\boxed{false}" if boxed else "<answer>false</answer>")[1] == 1.0

@@ -22,14 +22,9 @@ def test_python_example_runs(code: str, tmp_path: Path) -> None:
     """In an empty folder, without a warning; numbers in its comments are those that it prints."""
     if "search" in code:
         pytest.importorskip("gem_tools", reason="the search tool comes with gem-tools")
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        cwd=tmp_path,
-        env={"XDG_CACHE_HOME": str(tmp_path), "PATH": ""},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    command = [sys.executable, "-W", "error", "-c", code]
+    variables = {"XDG_CACHE_HOME": str(tmp_path), "PATH": ""}
+    done = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=120)
     assert done.stderr == ""
     printed = done.stdout.splitlines()
     for line in code.splitlines():
@@ -41,14 +36,9 @@ def test_python_example_runs(code: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_command_runs(command: str, tmp_path: Path) -> None:
     """Typed into a shell, in an empty folder."""
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    variables = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     done = subprocess.run(
-        ["sh", "-c", command],
-        cwd=tmp_path,
-        env={**os.environ, "PATH": path},
-        capture_output=True,
-        text=True,
-        timeout=120,
+        ["sh", "-c", command], cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 0, done.stderr
     assert "qa:Sample" in done.stdout
