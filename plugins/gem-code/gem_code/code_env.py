@@ -6,17 +6,16 @@ import re
 from typing import Any, ClassVar, Literal, Unpack
 
 from gem_code.cases import AssertionTests, CallTests, Tests, longest, read_tests
-from gem_code.comparing import COMPARISONS, Comparison
 from gem_code.fences import last_program
 from gem_code.function_form import grade_assertions, grade_calls
 from gem_code.program_form import Grading, grade_program
-from gem_code.runner import NoVerdictError, ProgramLimits, Runner
-from gem_code.sandbox import SandboxRunner
+from gem_code.runner import NoVerdictError, Runner
 from gem_code.verdicts import CaseResult, Verdict
 from gem_core.background import run_sync
 from gem_core.data import DatasetEnv, DatasetOptions, Grade, Row, RowSource
 from gem_core.errors import ArgumentError, GradingError
 from gem_core.types import TERMINAL_STATE, Concurrency, ResetResult, StepResult
+from gem_tools.python import Limits
 
 RewardRule = Literal["all", "fraction"]
 
@@ -50,9 +49,8 @@ class CodeEnv(DatasetEnv):
             are one run.
         memory_mb: Megabytes that a run may use.
         max_output_bytes: Bytes that a run may print.
-        comparison: How outputs are compared; see ``gem_code.comparing.same_output``.
-        float_tolerance: See there; None compares text.
-        max_parallel: Runs of one response at a time. The sandbox has a limit of its own for all together.
+        float_tolerance: Numbers are equal that differ by this, or by this part; None compares text. See
+            ``gem_code.comparing.same_output``.
         sandbox: Level of isolation: ``"auto"``, ``"bubblewrap"``, ``"docker"`` or ``"process"``; see gem-tools.
         **options: See ``DatasetEnv``.
 
@@ -75,16 +73,12 @@ class CodeEnv(DatasetEnv):
         timeout_s: float = 10.0,
         memory_mb: int = 512,
         max_output_bytes: int = 4_000_000,
-        comparison: Comparison = "lines",
         float_tolerance: float | None = None,
-        max_parallel: int = 4,
         sandbox: str = "auto",
         **options: Unpack[DatasetOptions],
     ) -> None:
         _check("reward", reward in ("all", "fraction"), "'all' or 'fraction'", reward)
-        _check("comparison", comparison in COMPARISONS, f"one of {', '.join(COMPARISONS)}", comparison)
         _check("max_tests", max_tests is None or _is_count(max_tests), "a whole number from 1 up, or None", max_tests)
-        _check("max_parallel", _is_count(max_parallel), "a whole number from 1 up", max_parallel)
         _check("timeout_s", _is_number(timeout_s) and timeout_s > 0, "seconds above 0", timeout_s)
         _check("memory_mb", _is_count(memory_mb), "whole megabytes from 1 up", memory_mb)
         _check("max_output_bytes", _is_count(max_output_bytes), "whole bytes from 1 up", max_output_bytes)
@@ -100,13 +94,11 @@ class CodeEnv(DatasetEnv):
         self.return_range = (min(0.0, self.format_error_reward), max(1.0, self.format_error_reward))
         self.max_tests = max_tests
         self.grading = Grading(
-            limits=ProgramLimits(timeout_s, timeout_s, memory_mb, max_output_bytes),
-            comparison=comparison,
+            limits=Limits(wall_s=timeout_s, memory_mb=memory_mb, output_bytes=max_output_bytes),
             float_tolerance=float_tolerance,
-            parallel=max_parallel,
             every=reward == "fraction",
         )
-        self.runner: Runner = SandboxRunner(sandbox)
+        self.runner = Runner(sandbox)
 
     async def reset_async(self, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Ask a problem; see ``DatasetEnv.reset``."""

@@ -3,36 +3,24 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
-
-Comparison = Literal["lines", "tokens", "exact"]
-COMPARISONS: tuple[Comparison, ...] = ("lines", "tokens", "exact")
+from typing import Any
 
 
-def same_output(
-    printed: str, expected: str, comparison: Comparison = "lines", float_tolerance: float | None = None
-) -> bool:
-    """Tell whether an output is accepted.
+def same_output(printed: str, expected: str, float_tolerance: float | None = None) -> bool:
+    """Tell whether an output is accepted: white space at the ends of lines, and around all of them, does not count.
 
     Args:
         printed: Standard output of the program.
         expected: Output of the test.
-        comparison: ``"lines"``: white space at the ends of lines, and empty lines at the end, do not count, nor does
-            white space before the first word. ``"tokens"``: words are compared, whatever is between them. ``"exact"``:
-            every character counts.
         float_tolerance: Compare word by word, numbers being equal that differ by at most this, or by at most this part
             of the expected one. Two whole numbers must be equal. None compares text.
 
-    Source: the comparisons of Codeforces' testlib (lcmp, wcmp, rcmp).
+    Source: the comparisons of Codeforces' testlib (lcmp, rcmp).
     """
     if printed == expected:
         return True
     if float_tolerance is not None:
         return _same_tokens(printed.split(), expected.split(), float_tolerance)
-    if comparison == "exact":
-        return False
-    if comparison == "tokens":
-        return printed.split() == expected.split()
     return _lines(printed) == _lines(expected)
 
 

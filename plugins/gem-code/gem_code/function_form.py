@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from gem_code.comparing import same_value
 from gem_code.inside import program
@@ -21,7 +21,8 @@ from gem_core.errors import GradingError
 if TYPE_CHECKING:
     from gem_code.cases import AssertionTests, CallTests
     from gem_code.program_form import Grading
-    from gem_code.runner import ProgramRun, Runner
+    from gem_code.runner import Runner
+    from gem_tools.python import Outcome
 
 _TIMES = 3
 """How many times the limit of the program's calls a run with tests may take, for what the tests compute themselves."""
@@ -45,7 +46,7 @@ async def grade_calls(code: str, tests: CallTests, runner: Runner, grading: Grad
     first, *lines = run.stdout.split("\n")[:-1] or [""]
     failed, why = _load_report(first, run)
     # The call that was under way when the program ended, and those behind it.
-    stopped: Status = "runtime_error" if run.finished else status_of(run)
+    stopped: Status = "runtime_error" if run.status == "ok" else status_of(run)
     # Some rows of APPS and TACO wrap what is expected in a list of one, then in all of their tests.
     wrapped = all(isinstance(expected, list) and len(expected) == 1 for expected in tests.outputs)
     results = []
@@ -76,13 +77,13 @@ async def grade_assertions(code: str, tests: AssertionTests, runner: Runner, gra
     without, units, problem = await _tested("", tests, runner, grading)
     if units is None:
         why = without.error or without.status
-        ended = without.finished or without.status == "exit"
+        ended = without.status in ("ok", "exit")
         raise GradingError(
             f"the tests ended without a result: {why}" if ended else f"the tests do not come to their end: {why}"
         )
     if problem:
         raise GradingError(f"the tests are at fault: {problem}")
-    status = "runtime_error" if run.finished else status_of(run)
+    status = "runtime_error" if run.status == "ok" else status_of(run)
     error = run.error or "the tests did not get through with its answers"
     later = [CaseResult(index, "not_run") for index in range(1, len(units))]
     return Verdict([CaseResult(0, status, error), *later], run.sandbox)
@@ -90,7 +91,7 @@ async def grade_assertions(code: str, tests: AssertionTests, runner: Runner, gra
 
 async def _tested(
     code: str, tests: AssertionTests, runner: Runner, grading: Grading
-) -> tuple[ProgramRun, list[dict[str, Any]] | None, str | None]:
+) -> tuple[Outcome, list[dict[str, Any]] | None, str | None]:
     """Run a program and its tests; return what became of each test, and what seems to be wrong with the tests.
 
     There are no tests, but None, where the run came to no end.
@@ -101,14 +102,13 @@ async def _tested(
     wider = replace(
         limits,
         wall_s=_TIMES * limits.wall_s,
-        cpu_s=_TIMES * limits.cpu_s,
         memory_mb=memory,
         output_bytes=output,
     )
     work = {"code": code, "prompt": tests.prompt, "entry": tests.entry, "test": tests.source}
     more = {"wall_s": limits.wall_s, "spare_mb": memory - limits.memory_mb}
     run = await runner.run(program("checks"), json.dumps({**work, **more}), wider)
-    if not run.finished:
+    if run.status != "ok":
         return run, None, None
     try:
         found = json.loads(run.stdout)
@@ -117,13 +117,13 @@ async def _tested(
         return run, None, None
 
 
-def _load_report(line: str, run: ProgramRun) -> tuple[Status | None, str | None]:
+def _load_report(line: str, run: Outcome) -> tuple[Status | None, str | None]:
     """Return why the program could not be loaded, or None, and its error."""
     try:
         report = json.loads(line)
         failed = report["failed"]
     except (ValueError, TypeError, KeyError, RecursionError):
-        if not run.finished:
+        if run.status != "ok":
             return status_of(run), run.error
         return "runtime_error", "the program ended before its function was called"
     if failed not in (None, "compile_error", "memory"):
@@ -158,7 +158,7 @@ def _no_data(kind: str, content: Any) -> Any:
 def _results(units: list[dict[str, Any]]) -> list[CaseResult]:
     results = []
     for index, unit in enumerate(units):
-        status = _as_status(unit["status"])
+        status: Status = unit["status"] if unit["status"] in get_args(Status) else "runtime_error"
         error = unit["error"]
         if status == "runtime_error" and str(error).startswith("MemoryError"):
             status = "memory"
@@ -173,19 +173,6 @@ def _up_to_first_failure(results: list[CaseResult], grading: Grading) -> list[Ca
     if grading.every:
         return results
     return [result if result.index <= failed else CaseResult(result.index, "not_run") for result in results]
-
-
-def _as_status(text: str) -> Status:
-    known: tuple[Status, ...] = (
-        "passed",
-        "wrong_answer",
-        "timeout",
-        "memory",
-        "output_limit",
-        "compile_error",
-        "not_run",
-    )
-    return next((status for status in known if status == text), "runtime_error")
 
 
 def _shown(value: Any) -> str:

@@ -11,12 +11,13 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from gem_code.comparing import Comparison, same_output
-from gem_code.runner import ProgramLimits, Runner
+from gem_code.comparing import same_output
 from gem_code.verdicts import CaseResult, Verdict, status_of
+from gem_tools.python import Limits
 
 if TYPE_CHECKING:
     from gem_code.cases import StdinTests
+    from gem_code.runner import Runner
 
 
 @dataclass(frozen=True)
@@ -25,14 +26,12 @@ class Grading:
 
     Args:
         limits: Of each run of a program.
-        comparison: See ``comparing.same_output``.
-        float_tolerance: See there.
+        float_tolerance: See ``comparing.same_output``.
         parallel: Runs of one response at a time.
         every: Whether all tests are run, though one has failed.
     """
 
-    limits: ProgramLimits = field(default_factory=ProgramLimits)
-    comparison: Comparison = "lines"
+    limits: Limits = field(default_factory=Limits)
     float_tolerance: float | None = None
     parallel: int = 4
     every: bool = False
@@ -50,16 +49,16 @@ async def grade_program(code: str, tests: StdinTests, runner: Runner, grading: G
         run = await runner.run(code, tests.inputs[index], _allowing(tests.outputs[index], grading.limits))
         if run.sandbox:
             levels.add(run.sandbox)
-        if not run.finished:
+        if run.status != "ok":
             return CaseResult(index, status_of(run), run.error, tests.inputs[index], run.stdout)
-        right = same_output(run.stdout, tests.outputs[index], grading.comparison, grading.float_tolerance)
+        right = same_output(run.stdout, tests.outputs[index], grading.float_tolerance)
         return CaseResult(index, "passed" if right else "wrong_answer", None, tests.inputs[index], run.stdout)
 
     results = await in_parallel(one, len(tests.inputs), grading.parallel, every=grading.every)
     return Verdict(results, min(levels, default=None))
 
 
-def _allowing(expected: str, limits: ProgramLimits) -> ProgramLimits:
+def _allowing(expected: str, limits: Limits) -> Limits:
     """Return limits under which a program may print what is expected of it, and some white space."""
     if 4 * len(expected) < limits.output_bytes:
         return limits

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from gem_code.runner import ProgramRun
+    from gem_tools.python import Outcome
 
 Status = Literal[
     "passed", "wrong_answer", "timeout", "memory", "output_limit", "runtime_error", "compile_error", "not_run"
@@ -100,7 +100,7 @@ class Verdict:
         return found
 
 
-def status_of(run: ProgramRun) -> Status:
+def status_of(run: Outcome) -> Status:
     """Return what a run that did not finish counts as."""
     if run.status in _BY_LIMIT:
         return _BY_LIMIT[run.status]

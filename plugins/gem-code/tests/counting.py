@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from gem_code.sandbox import SandboxRunner
+from gem_code.runner import Runner
 
 if TYPE_CHECKING:
-    from gem_code.runner import ProgramLimits, ProgramRun
+    from gem_tools.python import Limits, Outcome
 
 
-class CountingRunner(SandboxRunner):
+class CountingRunner(Runner):
     """Counts the programs that it runs."""
 
     runs = 0
 
-    async def run(self, program: str, stdin: str, limits: ProgramLimits) -> ProgramRun:
+    async def run(self, program: str, stdin: str, limits: Limits) -> Outcome:
         """Run one."""
         self.runs += 1
         return await super().run(program, stdin, limits)

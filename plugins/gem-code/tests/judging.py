@@ -9,15 +9,15 @@ from typing import Any
 from gem_code.cases import CallTests, StdinTests, read_tests
 from gem_code.function_form import grade_assertions, grade_calls
 from gem_code.program_form import Grading, grade_program
-from gem_code.runner import ProgramLimits
 from gem_code.verdicts import Verdict
+from gem_tools.python import Limits
 
 Judge = Callable[..., Verdict]
 
 
 def grade(code: str, tests: Any, runner: Any, entry: str | None, prompt: str | None, **options: Any) -> Verdict:
     """Return the verdict on a program."""
-    options.setdefault("limits", ProgramLimits(wall_s=20.0, cpu_s=20.0))
+    options.setdefault("limits", Limits(wall_s=20.0))
     read, grading = read_tests(tests, entry=entry, prompt=prompt), Grading(**options)
     if isinstance(read, StdinTests):
         return asyncio.run(grade_program(code, read, runner, grading))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from gem_code.runner import ProgramLimits
+from gem_tools.python import Limits
 
 pytestmark = pytest.mark.thorough
 
@@ -153,7 +153,7 @@ ATTACKS = {
 @pytest.mark.parametrize("code", ATTACKS.values(), ids=ATTACKS)
 def test_no_function_passes_without_being_right(judge: Judge, code: str) -> None:
     """Not a single assertion, and in bounded time."""
-    verdict = judge(code, CHECK, "f", every=True, limits=ProgramLimits(wall_s=4.0, cpu_s=4.0, memory_mb=256))
+    verdict = judge(code, CHECK, "f", every=True, limits=Limits(wall_s=4.0, memory_mb=256))
     assert verdict.passed == 0, verdict.info()
     assert verdict.status != "compile_error", "the attack was never made"
     assert len(verdict.tests) == 3
@@ -162,7 +162,7 @@ def test_no_function_passes_without_being_right(judge: Judge, code: str) -> None
 @pytest.mark.parametrize("code", ATTACKS.values(), ids=ATTACKS)
 def test_no_program_passes_without_being_right(judge: Judge, code: str) -> None:
     """The same as whole programs, which print what their function returns."""
-    limits = ProgramLimits(wall_s=4.0, cpu_s=4.0, memory_mb=256, output_bytes=1_000_000)
+    limits = Limits(wall_s=4.0, memory_mb=256, output_bytes=1_000_000)
     verdict = judge(f"{code}\nprint(f(1))", PRINTS, every=True, limits=limits)
     assert verdict.passed == 0, verdict.info()
 

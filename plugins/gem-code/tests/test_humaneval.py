@@ -14,7 +14,7 @@ import pytest
 from gem_code.cases import AssertionTests
 from gem_code.function_form import grade_assertions
 from gem_code.program_form import Grading
-from gem_code.sandbox import SandboxRunner
+from gem_code.runner import Runner
 
 pytestmark = pytest.mark.thorough
 
@@ -35,7 +35,7 @@ def verdicts(rows: list[Row], codes: list[str]) -> list[Verdict]:
     """Grade one program for each row, all at once."""
 
     async def run() -> list[Verdict]:
-        runner, grading = SandboxRunner(), Grading(every=True)
+        runner, grading = Runner(), Grading(every=True)
         tests = [AssertionTests(row["test"], row["entry_point"], row["prompt"]) for row in rows]
         pairs = zip(codes, tests, strict=True)
         return await asyncio.gather(*(grade_assertions(code, test, runner, grading) for code, test in pairs))

@@ -268,12 +268,6 @@ def test_tests_use_objects_of_the_program(judge: Judge, test: str) -> None:
     assert not judge("", test).correct
 
 
-def test_named_tuples_keep_their_names(judge: Judge) -> None:
-    """And compare as tuples."""
-    code = "from collections import namedtuple\nP = namedtuple('P', 'x y')\ndef f(): return P(1, [P(2, 3)])"
-    assert judge(code, ["assert f().x == 1 and f().y[0].y == 3", "assert f() == (1, [(2, 3)])"]).correct
-
-
 def test_a_function_of_the_tests_can_only_be_called(judge: Judge) -> None:
     """It does not lead the program to what is around it."""
     code = "def f(given):\n    try:\n        return given.__globals__['secret']\n    except Exception as error:\n"

@@ -9,8 +9,9 @@ import pytest
 
 from gem_code.cases import StdinTests
 from gem_code.program_form import Grading, grade_program, in_parallel
-from gem_code.runner import NoVerdictError, ProgramLimits, ProgramRun
+from gem_code.runner import NoVerdictError
 from gem_code.verdicts import CaseResult, shortened
+from gem_tools.python import Limits, Outcome
 
 if TYPE_CHECKING:
     from judging import Judge
@@ -21,13 +22,13 @@ DOUBLE = {"inputs": ["1\n", "2\n", "21\n"], "outputs": ["2\n", "4\n", "42\n"]}
 class Scripted:
     """A runner that knows what becomes of each input, and can hold back some of them."""
 
-    def __init__(self, outcomes: dict[str, ProgramRun], held: frozenset[str] = frozenset()) -> None:
+    def __init__(self, outcomes: dict[str, Outcome], held: frozenset[str] = frozenset()) -> None:
         self.outcomes, self.held = outcomes, held
         self.begun: list[str] = []
         self.cancelled: list[str] = []
         self.at_once = self.most_at_once = 0
 
-    async def run(self, program: str, stdin: str, limits: ProgramLimits) -> ProgramRun:
+    async def run(self, program: str, stdin: str, limits: Limits) -> Outcome:
         """Return the outcome, or wait for ever."""
         self.begun.append(stdin)
         self.at_once += 1
@@ -45,46 +46,10 @@ class Scripted:
             self.at_once -= 1
 
 
-def test_a_right_program_passes_every_test(judge: Judge) -> None:
-    """It reads standard input and prints."""
-    verdict = judge("print(2 * int(input()))", DOUBLE)
-    assert (verdict.correct, verdict.fraction, verdict.status) == (True, 1.0, "passed")
-    assert [test.status for test in verdict.tests] == ["passed"] * 3
-
-
-FAST = """
-import os, sys
-from io import BytesIO, IOBase
-
-class Fast(IOBase):
-    def __init__(self, file):
-        self.descriptor, self.buffer = file.fileno(), BytesIO()
-        self.write = self.buffer.write if "r" not in file.mode else None
-
-    def readline(self):
-        if not self.buffer.getvalue():
-            self.buffer = BytesIO(os.read(self.descriptor, os.fstat(self.descriptor).st_size))
-        return self.buffer.readline()
-
-    def flush(self):
-        if self.write:
-            os.write(self.descriptor, self.buffer.getvalue())
-            self.buffer.truncate(0), self.buffer.seek(0)
-
-reads, sys.stdout = Fast(sys.stdin), Fast(sys.stdout)
-sys.stdout.write(b"%d" % (2 * int(reads.readline())))
-"""
-
-
-def test_input_and_output_of_contestants_own_making(judge: Judge) -> None:
-    """In the way of many solutions on Codeforces, which ask the streams for their modes and the input for its size."""
-    assert judge(FAST, DOUBLE).correct
-
-
 def test_what_is_expected_may_always_be_printed(judge: Judge) -> None:
     """Whatever the limit of output; a program that prints far more meets it."""
     tests = {"inputs": ["3000"], "outputs": ["1\n" * 3000]}
-    limits = ProgramLimits(wall_s=20.0, cpu_s=20.0, output_bytes=1000)
+    limits = Limits(wall_s=20.0, output_bytes=1000)
     assert judge("print('1\\n' * int(input()))", tests, limits=limits).correct
     assert judge("print('1\\n' * 10 * int(input()))", tests, limits=limits).status == "output_limit"
 
@@ -117,35 +82,11 @@ def test_reasons_of_failure_are_told_apart(judge: Judge, code: str, status: str,
     assert error is None or error in str(failed.error)
 
 
-def test_exit_code_zero_is_no_failure(judge: Judge) -> None:
-    """``sys.exit()`` after the answer is how many programs end."""
-    assert judge("import sys\nprint(2 * int(input()))\nsys.exit(0)", DOUBLE).correct
-
-
-def test_a_program_that_does_not_end_is_stopped(judge: Judge) -> None:
-    """The status says so."""
-    verdict = judge("while True: pass", DOUBLE, limits=ProgramLimits(wall_s=0.5, cpu_s=0.5), parallel=1)
-    assert verdict.status == "timeout"
-    assert [test.status for test in verdict.tests] == ["timeout", "not_run", "not_run"]
-
-
-def test_what_was_printed_and_given_is_shown_and_what_was_expected_is_not(judge: Judge) -> None:
-    """Neither in info nor in the cut texts."""
-    verdict = judge("print('mine')", {"inputs": ["given\n"], "outputs": ["the secret answer\n"]})
-    info = verdict.info()
-    assert info["first_failure"] == {
-        "index": 0,
-        "status": "wrong_answer",
-        "input": "given\n",
-        "output": "mine\n",
-        "error": None,
-    }
-    assert "secret" not in repr(info)
-
-
 def test_the_rest_is_not_run_after_a_failure() -> None:
     """Once a test has failed, nothing that comes later is begun; what is under way there is given up."""
-    runner = Scripted({"a": ProgramRun("ok", 0, "1"), "b": ProgramRun("ok", 0, "wrong")}, held=frozenset("cde"))
+    runner = Scripted(
+        {"a": Outcome(status="ok", stdout="1"), "b": Outcome(status="ok", stdout="wrong")}, held=frozenset("cde")
+    )
     tests = StdinTests(tuple("abcde"), ("1",) * 5)
     verdict = asyncio.run(grade_program("", tests, runner, Grading(parallel=3)))
     assert [test.status for test in verdict.tests] == ["passed", "wrong_answer", "not_run", "not_run", "not_run"]
@@ -168,7 +109,7 @@ def test_the_first_failure_does_not_depend_on_which_test_is_fastest() -> None:
 
 def test_every_test_is_run_for_the_fraction() -> None:
     """Some at a time, never more than asked for."""
-    outcomes = {name: ProgramRun("ok", 0, "1" if name in "bd" else "0") for name in "abcdefgh"}
+    outcomes = {name: Outcome(status="ok", stdout="1" if name in "bd" else "0") for name in "abcdefgh"}
     runner = Scripted(outcomes)
     tests = StdinTests(tuple("abcdefgh"), ("1",) * 8)
     verdict = asyncio.run(grade_program("", tests, runner, Grading(parallel=3, every=True)))
@@ -180,18 +121,18 @@ def test_every_test_is_run_for_the_fraction() -> None:
 @pytest.mark.parametrize(
     ("run", "status"),
     [
-        (ProgramRun("timeout"), "timeout"),
-        (ProgramRun("cpu"), "timeout"),
-        (ProgramRun("memory"), "memory"),
-        (ProgramRun("output"), "output_limit"),
-        (ProgramRun("killed", None, "1"), "runtime_error"),
-        (ProgramRun("exit", 1, "1"), "runtime_error"),
-        (ProgramRun("exit", 0, "1"), "passed"),
-        (ProgramRun("error", 1, "1", "ValueError: x"), "runtime_error"),
-        (ProgramRun("error", 1, "1", "TabError: x"), "compile_error"),
+        (Outcome(status="timeout"), "timeout"),
+        (Outcome(status="cpu"), "timeout"),
+        (Outcome(status="memory"), "memory"),
+        (Outcome(status="output"), "output_limit"),
+        (Outcome(status="killed", stdout="1"), "runtime_error"),
+        (Outcome(status="exit", exit_code=1, stdout="1"), "runtime_error"),
+        (Outcome(status="ok", exit_code=0, stdout="1"), "passed"),
+        (Outcome(status="error", exit_code=1, stdout="1", error="ValueError: x"), "runtime_error"),
+        (Outcome(status="error", exit_code=1, stdout="1", error="TabError: x"), "compile_error"),
     ],
 )
-def test_what_the_sandbox_says_becomes_a_status(run: ProgramRun, status: str) -> None:
+def test_what_the_sandbox_says_becomes_a_status(run: Outcome, status: str) -> None:
     """A right output does not help a program that was ended."""
     verdict = asyncio.run(grade_program("", StdinTests(("a",), ("1",)), Scripted({"a": run}), Grading()))
     assert verdict.status == status
@@ -201,7 +142,7 @@ def test_a_sandbox_that_fails_is_no_verdict() -> None:
     """And what is under way is given up."""
 
     class Failing(Scripted):
-        async def run(self, program: str, stdin: str, limits: ProgramLimits) -> ProgramRun:
+        async def run(self, program: str, stdin: str, limits: Limits) -> Outcome:
             if stdin == "b":
                 raise NoVerdictError("it is gone")
             return await super().run(program, stdin, limits)

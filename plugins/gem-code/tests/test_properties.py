@@ -13,7 +13,7 @@ from gem_code.code_env import CodeEnv
 from gem_code.fences import last_program
 from gem_code.function_form import grade_assertions, grade_calls
 from gem_code.program_form import Grading
-from gem_code.sandbox import SandboxRunner
+from gem_code.runner import Runner
 from gem_core.testing import hostile_actions
 
 LANGUAGES = (*CodeEnv.answer_fences, "python3")
@@ -33,16 +33,6 @@ def test_a_program_comes_out_as_it_was_written(before: str, code: str, language:
         assume(mark not in code)
     assume(not code.endswith("`"))
     assert last_program(f"{before}\n```{language}\n{code}\n```\n", LANGUAGES) == code
-
-
-def test_a_marked_program_goes_before_an_unmarked_block() -> None:
-    """An output shown behind it is no program; without a marked one the last block counts."""
-    program, shown, other = "```python\nprint(1)\n```", "```\n1\n```", "```cpp\nint x;\n```"
-    for response in (f"{program}\nIt prints:\n{shown}\n{other}", f"{shown}\n{program}", f"<answer>{program} {shown}"):
-        assert last_program(response, LANGUAGES) == "print(1)"
-    assert last_program(f"{program.replace('1', '2')}\n{program}\n{shown}", LANGUAGES) == "print(1)"
-    assert last_program(f"{shown}\n{shown.replace('1', '2')}\n{other}", LANGUAGES) == "2"
-    assert last_program(f"<think>{program}</think>{shown.replace('1', '2')}", LANGUAGES) == "2"
 
 
 @given(
@@ -75,7 +65,7 @@ def test_a_table_of_the_answers_passes_and_with_one_changed_fails(table: list[An
     calls = CallTests("f", tuple(k for k, _ in pairs), tuple(v for _, v in pairs))
 
     async def statuses(code: str) -> list[list[str]]:
-        runner, grading = SandboxRunner(), Grading(every=True)
+        runner, grading = Runner(), Grading(every=True)
         by_assertions = await grade_assertions(code, AssertionTests(source), runner, grading)
         by_calls = await grade_calls(code, calls, runner, grading)
         return [[test.status for test in verdict.tests] for verdict in (by_assertions, by_calls)]
@@ -84,12 +74,3 @@ def test_a_table_of_the_answers_passes_and_with_one_changed_fails(table: list[An
     assert asyncio.run(statuses(right)) == [expected, expected]
     expected[changed] = "wrong_answer"
     assert asyncio.run(statuses(wrong)) == [expected, expected]
-
-
-def test_the_sandbox_starts_once_for_all() -> None:
-    """Environments of one process share it."""
-    rows = [{"problem": "p", "tests": ["assert f(1) == 1"]}]
-    first, second = CodeEnv(rows), CodeEnv(rows)
-    assert isinstance(first.runner, SandboxRunner)
-    assert isinstance(second.runner, SandboxRunner)
-    assert first.runner.pool is second.runner.pool
