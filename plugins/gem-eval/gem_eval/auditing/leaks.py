@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
+import codecs
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,9 +26,33 @@ _TELLING = (
     r"(?:answers?|ans|solution|gold|labels?|target|expected|reference|truth|key|hint|secret|hidden|correct|debug)"
 )
 _MARK = re.compile(rf"\b{_TELLING}\b[^\n:=]{{0,20}}[:=]\s*(\S[^\n]{{0,80}})", re.IGNORECASE)
+_DECODING = re.compile(r"\b(?:decod|decrypt|deciph|cipher|convert|revers|backward|unscrambl|spell)", re.IGNORECASE)
+"""Words of a task that is to read a code, where the observation holds the answer for good reason."""
 _BRIEF = 200
 """Characters of what is no passage, where an answer is one thing among others."""
 _AROUND = " .,;:!?()[]{}<>*\"'`-"
+
+
+def _decoded(decode: Callable[[str], bytes], text: str) -> str:
+    try:
+        value = decode(text).decode()
+    except ValueError:
+        return ""
+    return value.strip() if value.isprintable() else ""
+
+
+_ENCODERS: dict[str, Callable[[str], str]] = {
+    "base64": lambda text: base64.b64encode(text.encode()).decode().rstrip("="),
+    "hexadecimal": lambda text: text.encode().hex(),
+    "backward": lambda text: text[::-1] if len(text) > 3 and text != text[::-1] else "",
+    "rot13": lambda text: codecs.encode(text, "rot13") if sum(map(str.isalpha, text)) > 3 else "",
+}
+_DECODERS: dict[str, Callable[[str], str]] = {
+    "base64": lambda text: _decoded(lambda code: base64.b64decode(code + "=" * (-len(code) % 4), validate=True), text),
+    "hexadecimal": lambda text: _decoded(bytes.fromhex, text),
+    "backward": lambda text: text[::-1],
+    "rot13": lambda text: codecs.encode(text, "rot13"),
+}
 
 
 @dataclass
@@ -56,6 +82,11 @@ class RowView:
         """All that is shown as text."""
         return "\n".join([*self.texts, *(text for each in self.later.values() for text in each)])
 
+    @property
+    def asks_to_decode(self) -> bool:
+        """Whether to read a text backward, or in a code, is the task."""
+        return _DECODING.search("\n".join(self.texts)) is not None
+
     def leaves(self) -> dict[str, str]:
         """Return the values of the infos by path, as ``extra.answer``, without long ones that are shown as text."""
         shown = normal(self.text)
@@ -81,13 +112,15 @@ class RowView:
         return found | self._ends()
 
     def _ends(self) -> dict[str, str]:
-        """Return the last line and the last word of each text, in small letters and with capitals as well."""
+        """Return the last line and the last word of each text, as they stand and decoded."""
         found: dict[str, str] = {}
         for source, texts in {"the observation": self.texts[:1], **self.later}.items():
             lines = [line for text in texts for line in re.sub(r"<[^<>]*>", " ", text).splitlines() if line.strip()]
             for what, text in (("line", lines[-1]), ("word", lines[-1].split()[-1])) if lines else ():
                 value = text.strip(_AROUND)
                 forms = {"": value, ", in small letters": value.lower(), ", with capitals": value.title()}
+                if not self.asks_to_decode:
+                    forms |= {f", from {name}": decode(value) for name, decode in _DECODERS.items()}
                 for form, each in forms.items():
                     if each and each not in found.values():
                         found[f"the last {what} of {source}{form}"] = each
@@ -114,7 +147,7 @@ def find_leaks(views: Sequence[RowView]) -> Iterator[Problem]:
     known = [view for view in views if view.gold]
     golds = [normal(view.gold or "") for view in known]
     if len(set(golds)) > 1:
-        for search in (_in_infos, _in_later):
+        for search in (_in_infos, _in_later, _encoded):
             yield from search(known, golds)
 
 
@@ -166,12 +199,29 @@ def _in_later(known: Sequence[RowView], golds: Sequence[str]) -> Iterator[Proble
             yield _leak(known, hits, f"{source} holds the gold answer", examples, brief)
 
 
-def _beyond_chance(hits: Sequence[int], texts: Sequence[str], golds: Sequence[str]) -> bool:
+def _encoded(known: Sequence[RowView], golds: Sequence[str]) -> Iterator[Problem]:
+    infos = ["\n".join(view.leaves().values()) for view in known]
+    for name, encode in _ENCODERS.items():
+        codes = [code if len(code) >= 4 else "" for code in (encode((view.gold or "").strip()) for view in known)]
+        for place, texts in (("an info", infos), ("the observation", [view.text for view in known])):
+            hits = [at for at, code in enumerate(codes) if code and code in texts[at]]
+            if _beyond_chance(hits, texts, codes, lambda text, code: bool(code) and code in text):
+                # To read a text backward, or in a code, may be the very task; what stands beside a question is not.
+                asked = [known[at] for at in hits if known[at].asks_to_decode]
+                beside = [view for view in asked if view.question and encode(view.gold or "") not in view.question]
+                fails = place == "an info" or len(asked) < len(hits) or beside == asked
+                examples = [f"{code!r:.80}" for code in codes]
+                yield _leak(known, hits, f"{place} holds the gold answer in {name} form", examples, fails)
+
+
+def _beyond_chance(
+    hits: Sequence[int], texts: Sequence[str], golds: Sequence[str], found: Callable[[str, str], bool] = holds
+) -> bool:
     """Tell whether texts hold the gold answer of their own row more often than those of other rows."""
     if len(hits) < 2 and len(hits) < len(golds):
         return False
     pairs = [
-        holds(text, other)
+        found(text, other)
         for at, text in enumerate(texts)
         for other in [*golds[at + 1 :], *golds[:at]][:_OTHERS]
         if other != golds[at]
