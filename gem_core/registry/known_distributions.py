@@ -15,6 +15,7 @@ KNOWN_DISTRIBUTIONS: dict[str, dict[str, str]] = {
     "gem-pettingzoo": {"namespace": "pz"},
     "gem-qa": {"namespace": "eval logic qa"},
     "gem-ray": {"vector backend": "ray"},
+    "gem-server": {"wrapper": "harness"},
     "gem-tau": {"namespace": "tau", "agent": "tau-assistant tau-user", "command": "tau"},
     "gem-terminal": {"namespace": "terminal", "command": "terminal"},
     "gem-tools": {"tool": "mcp python search", "command": "mcp serve-search"},
