@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -18,37 +19,22 @@ _MOST_CHARACTERS = 4_000
 
 def command_info(result: CommandResult) -> dict[str, Any]:
     """Return what ``info["terminal"]`` says of a command."""
-    return {
-        "exit_code": result.exit_code,
-        "timed_out": result.timed_out,
-        "workdir": result.workdir,
-        "dropped": result.dropped,
-        "restarted": result.restarted,
-        "waiting": result.waiting,
-    }
+    told = ("exit_code", "timed_out", "workdir", "dropped", "restarted", "waiting")
+    return {name: getattr(result, name) for name in told}
 
 
 def screen_info(result: ScreenResult) -> dict[str, Any]:
     """Return what ``info["terminal"]`` says of a screen."""
-    return {
-        "running": result.running,
-        "cursor": list(result.cursor),
-        "exit_code": result.exit_code,
-        "workdir": result.workdir,
-        "restarted": result.restarted,
-    }
+    told = ("running", "exit_code", "workdir", "restarted")
+    return {"cursor": list(result.cursor), **{name: getattr(result, name) for name in told}}
 
 
 def verdict_info(verdict: Verdict) -> dict[str, Any]:
     """Return what ``info["verifier"]`` says; the output of the tests is for people, never for the agent."""
-    tests = [
-        {"name": test.name, "passed": test.passed, "weight": test.weight, "message": test.message}
-        for test in verdict.tests[:_MOST_TESTS]
-    ]
     return {
         "passed": verdict.passed,
         "score": verdict.score if math.isfinite(verdict.score) else 0.0,
-        "tests": tests,
+        "tests": [dataclasses.asdict(test) for test in verdict.tests[:_MOST_TESTS]],
         "tests_passed": sum(test.passed for test in verdict.tests),
         "tests_total": len(verdict.tests),
         "rewards": dict(verdict.rewards),
@@ -87,9 +73,8 @@ def of_verdict(verdict: Verdict) -> str:
 
 def of_ignored(count: int) -> str:
     """Return the note about the actions of a response behind its first; empty without any."""
-    if count == 0:
-        return ""
-    return f"[{count} further {'action was' if count == 1 else 'actions were'} ignored: each response does one thing.]"
+    were = "action was" if count == 1 else "actions were"
+    return f"[{count} further {were} ignored: each response does one thing.]" if count else ""
 
 
 def status(workdir: str, turns_left: int | None, seconds_left: float | None) -> str:

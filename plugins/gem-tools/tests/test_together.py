@@ -14,12 +14,12 @@ gem.register("raft:Speed-v0", "gem_core:DatasetEnv", rows=[{"question": QUESTION
 
 
 def searching_agent(observation: Any, context: Any) -> gem.Response | str:
-    """Look the voyage up, write an attribute, compute, and answer with what was computed."""
+    """Look the voyage up, name an argument wrongly, compute, and answer with what was computed."""
     text = str(observation)
     if context.turn == 0:
         return "<think>I might <python>guess</python>.</think> <search>Kon-Tiki raft</search>"
     if context.turn == 1:
-        return "<python code='print(round(6900 / 101))'>"
+        return '<tool_call>{"name": "python", "arguments": {"source": "round(6900 / 101)"}}</tool_call>'
     if context.turn == 2:
         facts = text.split("Output of search:")[1]
         days = facts.split("After ")[1].split(" days")[0]
@@ -47,4 +47,4 @@ def test_a_task_is_solved_in_several_turns_with_two_tools(backend: str, wrappers
         ("python", True, 2),
         ("python", False, 3),
     ]
-    assert "its tag takes no attributes" in used[1]["error"]
+    assert "code: Field required" in str(episode.transitions[2].observation)

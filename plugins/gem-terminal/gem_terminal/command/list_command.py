@@ -84,17 +84,12 @@ def command(
         click.echo(json.dumps([*rows, *({"name": name, "broken": why} for name, why in broken.items())], indent=1))
         return
     print_table(_COLUMNS, rows)
-    reasons: dict[str, list[str]] = {}
-    noted: dict[str, list[str]] = {}
+    told: dict[str, list[str]] = {}
     for row in rows:
-        if row["cannot_run"]:
-            reasons.setdefault(row["cannot_run"], []).append(row["name"])
-        for note in (*row["notes"], *row["shortfall"]):
-            noted.setdefault(note, []).append(row["name"])
-    for reason, names in reasons.items():
-        _echo(names[0] if len(names) == 1 else f"{len(names)} tasks", reason)
-    for note, names in noted.items():
-        _echo(f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: note", note)
+        for why in filter(None, (row["cannot_run"], *row["notes"], *row["shortfall"])):
+            told.setdefault(why, []).append(row["name"])
+    for why, names in told.items():
+        _echo(f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}", why)
     for name, why in broken.items():
         _echo(f"{name}: cannot be read", why)
 

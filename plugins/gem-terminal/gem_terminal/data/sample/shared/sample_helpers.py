@@ -13,6 +13,7 @@ import stat
 import subprocess
 import tempfile
 import time
+import typing
 
 MOST_BYTES = 5_000_000
 NOBODY = 65534
@@ -20,13 +21,12 @@ AS_NOBODY = {"user": NOBODY, "group": NOBODY, "extra_groups": []} if os.getuid()
 NO_NEW_PRIVILEGES = 38  # PR_SET_NO_NEW_PRIVS, prctl(2): no program makes a user another, whatever its permissions
 
 
-class Done:
+class Done(typing.NamedTuple):
     """What a command did: ``exit_code``, None when it was stopped; ``out`` and ``errors`` as text."""
 
-    def __init__(self, exit_code, out, errors):
-        self.exit_code = exit_code
-        self.out = out
-        self.errors = errors
+    exit_code: int | None
+    out: str
+    errors: str
 
 
 def read_bytes(path):
@@ -94,10 +94,7 @@ def run(*command, cwd=None, timeout_s=15):
                 exit_code = process.wait(timeout_s)
             except subprocess.TimeoutExpired:
                 exit_code = None
-        texts = []
-        for file in (out, errors):
-            file.seek(0)
-            texts.append(file.read(MOST_BYTES).decode("utf-8", "replace"))
+        texts = [os.pread(file.fileno(), MOST_BYTES, 0).decode("utf-8", "replace") for file in (out, errors)]
         return Done(exit_code, *texts)
 
 

@@ -51,14 +51,8 @@ def test_relative_paths():
 
 
 def test_numbers_go_on():
-    for last, following in (
-        ("007", "008"),
-        ("008", "009"),
-        ("009", "010"),
-        ("099", "100"),
-        ("999", "1000"),
-        ("1000", "1001"),
-    ):
+    numbers = "007 008", "008 009", "009 010", "099 100", "999 1000", "1000 1001"
+    for last, following in map(str.split, numbers):
         with folders(f"backup-{last}.tar.gz") as (source, target):
             assert keep(source, target, 5).out == f"{target}/backup-{following}.tar.gz\n"
 
@@ -82,13 +76,8 @@ def test_other_files_are_left_alone():
 
 def test_bad_arguments_change_nothing():
     with folders("backup-001.tar.gz", "backup-002.tar.gz") as (source, target):
-        for bad_source, count in (
-            (source + "-not", 1),
-            (source + "/notes.txt", 1),
-            (source, 0),
-            (source, "x"),
-            (source, ""),
-        ):
+        wrong = [(source + "-not", 1), (source + "/notes.txt", 1), (source, 0), (source, "x"), (source, "")]
+        for bad_source, count in wrong:
             done = keep(bad_source, target, count)
             assert (done.exit_code, done.out) == (2, ""), (bad_source, count)
             assert done.errors.strip(), (bad_source, count)
