@@ -17,7 +17,7 @@ GUIDE = (Path(__file__).parents[3] / "docs" / "mcp.md").read_text("utf-8")
 
 @pytest.mark.thorough
 def test_the_mcp_example_runs(tmp_path: Path) -> None:
-    """And solves its task, after a call that the schema refuses."""
+    """And solves its task, after a call that the server refuses."""
     server, agent = (block.code for block in extract_code_blocks(GUIDE, "python"))
     (tmp_path / "notes.py").write_text(server, encoding="utf-8")
     done = subprocess.run(
@@ -26,7 +26,7 @@ def test_the_mcp_example_runs(tmp_path: Path) -> None:
     assert done.stderr == ""
     assert "- read_note: Reads a note again. Call it with <tool_call>" in done.stdout
     assert "Output of add_note:\nThis is note 1." in done.stdout
-    assert "Error from read_note:\nThe arguments are not valid. number: '1' is not of type 'integer'" in done.stdout
+    assert "Error from read_note:\n" in done.stdout
     assert "Output of read_note:\nmilk" in done.stdout
     assert done.stdout.endswith("\n1.0\n")
 
